@@ -1,0 +1,49 @@
+"""Differentiable state observers in JAX: algebraic (ASLO), asymptotic, and their peers."""
+
+from importlib.metadata import version as _version
+
+from . import (
+    control as control,
+    disturbances as disturbances,
+    filters as filters,
+    observers as observers,
+    plants as plants,
+    random as random,
+)
+from .completions import (
+    AbstractCompletion as AbstractCompletion,
+    FilterBank as FilterBank,
+    LeastSquares as LeastSquares,
+    Repeat as Repeat,
+)
+from .filters import (
+    AbstractFilter as AbstractFilter,
+    LinearFilter as LinearFilter,
+    LowPass as LowPass,
+)
+from .guard import Guard as Guard
+from .observers import (
+    AbstractObserver as AbstractObserver,
+    AlgebraicObserver as AlgebraicObserver,
+    Asymptotic as Asymptotic,
+    Estimate as Estimate,
+    ObserverState as ObserverState,
+    PhaseLockedLoop as PhaseLockedLoop,
+    ReducedLuenberger as ReducedLuenberger,
+    SideBySide as SideBySide,
+    Staged as Staged,
+    SteadyStateKalman as SteadyStateKalman,
+)
+from .realise import Pass as Pass
+from .relations import (
+    AbstractTerms as AbstractTerms,
+    Linear as Linear,
+    Quadratic as Quadratic,
+    Rate as Rate,
+    Row as Row,
+    swap as swap,
+)
+from .replay import replay as replay
+from .simulate import Simulation as Simulation, simulate as simulate
+
+__version__ = _version("aslo_jax")

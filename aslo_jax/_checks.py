@@ -1,0 +1,52 @@
+"""Checks of arguments at construction: concrete values are refused, tracers pass."""
+
+from typing import Any
+
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+
+def real(x: Any) -> Array:
+    """Convert `x` to a floating-point array; arrays keep their floating dtype."""
+    dtype = getattr(x, "dtype", None)
+    if dtype is not None and jnp.issubdtype(dtype, jnp.floating):
+        return jnp.asarray(x)
+    return jnp.asarray(x, dtype=float)
+
+
+def optional_real(x: Any) -> Array | None:
+    """As [`real`][], but `None` stays `None`."""
+    return None if x is None else real(x)
+
+
+def is_concrete(*xs: Any) -> bool:
+    """Whether every value can be read now, that is, none is being traced."""
+    return not any(isinstance(x, jax.core.Tracer) for x in xs)
+
+
+def positive(name: str, x: Array | np.ndarray | float, unit: str = "") -> None:
+    """Refuse a concrete `x` with an entry that is not a finite positive number."""
+    if not isinstance(x, jax.Array | np.ndarray | float | int) or not is_concrete(x):
+        return  # a placeholder of a tree transformation, or a value that is traced
+    value = np.asarray(x)
+    if not (np.isfinite(value).all() and (value > 0).all()):
+        unit = f" ({unit})" if unit else ""
+        raise ValueError(
+            f"Argument `{name}` must be positive and finite{unit}, but got "
+            f"{value.tolist()}."
+        )
+
+
+def stable(name: str, A: Float[Array, "k k"]) -> None:
+    """Refuse a concrete matrix that has an eigenvalue with a non-negative real part."""
+    if not isinstance(A, jax.Array | np.ndarray) or not is_concrete(A):
+        return
+    largest = float(np.linalg.eigvals(np.asarray(A)).real.max(initial=-np.inf))
+    if not largest < 0:
+        raise ValueError(
+            f"Argument `{name}` must be a stable matrix (every eigenvalue with a negative "
+            f"real part), but the largest real part is {largest:.6g}."
+        )

@@ -1,0 +1,96 @@
+"""Straight-line linear algebra for small systems: it fuses, vectorises and differentiates
+where calls to LAPACK do not."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def safe_reciprocal(x: Array) -> Array:
+    """`1/x`, and 0 where `x` is 0, with finite gradients."""
+    zero = x == 0
+    return jnp.where(zero, 0.0, 1.0 / jnp.where(zero, 1.0, x))
+
+
+def safe_rsqrt(x: Array) -> Array:
+    """`1/sqrt(x)`, and 0 where `x` is not positive, with finite gradients."""
+    positive = x > 0
+    return jnp.where(positive, 1.0 / jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
+
+
+def solve_definite(
+    M: Float[Array, "n n"], v: Float[Array, " n"]
+) -> tuple[Float[Array, " n"], Float[Array, ""]]:
+    """Solve `M x = v` for a positive semidefinite M of unit size by Cholesky.
+
+    Returns x and the harmonic mean of the eigenvalues of M, `n / trace(M^-1)`, which is
+    between the least eigenvalue and n times it. Where M is singular both are 0.
+    """
+    n = v.shape[0]
+    L = [[M[i, j] for j in range(n)] for i in range(n)]
+    inverse_pivot = []
+    regular = jnp.asarray(True)
+    for j in range(n):
+        pivot = L[j][j] - sum((L[j][k] * L[j][k] for k in range(j)), start=0.0)
+        regular = regular & (pivot > 0)
+        root = jnp.sqrt(jnp.where(pivot > 0, pivot, 1.0))
+        inverse_pivot.append(1.0 / root)
+        for i in range(j + 1, n):
+            below = L[i][j] - sum((L[i][k] * L[j][k] for k in range(j)), start=0.0)
+            L[i][j] = below * inverse_pivot[j]
+    # Columns of L^-1, the last of them applied to v.
+    inverse = [[jnp.zeros_like(v[0])] * n for _ in range(n)]
+    for j in range(n):
+        inverse[j][j] = inverse_pivot[j]
+        for i in range(j + 1, n):
+            total = sum((L[i][k] * inverse[k][j] for k in range(j, i)), start=0.0)
+            inverse[i][j] = -total * inverse_pivot[i]
+    w = [sum((inverse[i][k] * v[k] for k in range(i + 1)), start=0.0) for i in range(n)]
+    x = [sum((inverse[k][i] * w[k] for k in range(i, n)), start=0.0) for i in range(n)]
+    trace = sum(
+        (inverse[i][j] ** 2 for i in range(n) for j in range(i + 1)),
+        start=jnp.zeros_like(v[0]),
+    )
+    x = jnp.where(regular, jnp.stack([jnp.asarray(xi) for xi in x]), 0.0)
+    return x, jnp.where(regular, n / trace, 0.0)
+
+
+def solve_rows(
+    R: Float[Array, "m n"], b: Float[Array, " m"]
+) -> tuple[Float[Array, " n"], Float[Array, ""]]:
+    """Solve `R x = b`, m >= n rows of unit size, by modified Gram-Schmidt.
+
+    Returns x (of least squares when m > n) and the harmonic mean of the eigenvalues of
+    `R'R / m`. Where R is singular both are 0.
+    """
+    m, n = R.shape
+    columns = [R[:, j] for j in range(n)]
+    rest = b
+    T = [[jnp.zeros_like(b[0])] * n for _ in range(n)]
+    inverse_pivot, projection = [], []
+    regular = jnp.asarray(True)
+    for j in range(n):
+        square = jnp.sum(columns[j] * columns[j])
+        regular = regular & (square > 0)
+        inverse_pivot.append(1.0 / jnp.sqrt(jnp.where(square > 0, square, 1.0)))
+        q = columns[j] * inverse_pivot[j]
+        for k in range(j + 1, n):
+            T[j][k] = jnp.sum(q * columns[k])
+            columns[k] = columns[k] - T[j][k] * q
+        projection.append(jnp.sum(q * rest))
+        rest = rest - projection[j] * q
+    inverse = [[jnp.zeros_like(b[0])] * n for _ in range(n)]
+    for j in range(n):
+        inverse[j][j] = inverse_pivot[j]
+        for i in reversed(range(j)):
+            total = sum((T[i][k] * inverse[k][j] for k in range(i + 1, j + 1)), start=0.0)
+            inverse[i][j] = -total * inverse_pivot[i]
+    x = [
+        sum((inverse[i][k] * projection[k] for k in range(i, n)), start=0.0)
+        for i in range(n)
+    ]
+    trace = sum(
+        (inverse[i][j] ** 2 for j in range(n) for i in range(j + 1)),
+        start=jnp.zeros_like(b[0]),
+    )
+    x = jnp.where(regular, jnp.stack([jnp.asarray(xi) for xi in x]), 0.0)
+    return x, jnp.where(regular, n / (m * trace), 0.0)

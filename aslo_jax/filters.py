@@ -1,0 +1,288 @@
+"""Filters: the linear laws that an observer's equations are written in.
+
+A filter is used in state-space form, `X' = A X + v` with output `C X`, because the
+Swapping Lemma needs its inner state `X` and not only its output. `v` is either an
+injected signal, `v = B s`, or a product that the lemma asks for. The state of a
+filtered signal of shape `(...)` has shape `(order, ...)`; a [`LowPass`][] drops the
+axis of length one.
+"""
+
+import abc
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import jax.scipy.linalg
+from jaxtyping import Array, Float, PyTree
+
+from ._checks import optional_real, positive, real, stable
+
+
+class AbstractLaw(eqx.Module):
+    """How one named state evolves, in continuous and in sampled time."""
+
+    @abc.abstractmethod
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
+        """The derivative `X'` at state `X` and drive `v` (units of `X` per second)."""
+
+    @abc.abstractmethod
+    def discretise(self, h: Float[Array, ""] | float) -> PyTree:
+        """What `advance` needs for an interval of `h` seconds; computed once."""
+
+    @abc.abstractmethod
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
+        """The state after the interval, the drive being `v0` at its left end and `v1`
+        at its right end."""
+
+
+class Integrator(AbstractLaw):
+    """`X' = v`: any state that is not a filter. Sampled by the trapezoidal rule, which
+    is Heun's method when `v` depends on `X`."""
+
+    def flow(self, X, v):
+        del X
+        return v
+
+    def discretise(self, h):
+        return h
+
+    def advance(self, X, v0, v1, coefficients):
+        # Time may be double where the state is single; a state keeps its precision.
+        half = jnp.asarray(0.5 * coefficients, jnp.result_type(X))
+        return X + half * (v0 + v1)
+
+
+class AbstractFilter(AbstractLaw):
+    """A proper, stable, linear time-invariant filter `F(s) = D + C (sI - A)^-1 B`.
+
+    `advance` is exact for a drive that is linear over the interval (first-order hold),
+    and so for a held drive too.
+    """
+
+    @property
+    @abc.abstractmethod
+    def strictly_proper(self) -> bool:
+        """Whether `D = 0`, so that `pF` is proper."""
+
+    @abc.abstractmethod
+    def inject(self, s: Float[Array, "..."] | float) -> Array:
+        """`B s`: the drive of a filtered signal, shape `(order, ...)`."""
+
+    @abc.abstractmethod
+    def output(self, X: Array) -> Float[Array, "..."]:
+        """`C X`: the filtered signal without feedthrough."""
+
+    @abc.abstractmethod
+    def feedthrough(self, s: Float[Array, "..."] | float) -> Float[Array, "..."] | float:
+        """`D s`."""
+
+    @abc.abstractmethod
+    def equilibrium(self, s: Float[Array, "..."] | float) -> Array:
+        """`-A^-1 B s`: the state at which a constant signal `s` has settled."""
+
+
+class _Hold(NamedTuple):
+    """First-order hold: `X1 = decay X0 + left v0 + right v1`."""
+
+    decay: Array
+    left: Array
+    right: Array
+
+
+def _scalar_hold(rate: Array, h: Array) -> _Hold:
+    # With v = rate h and p = (1 - exp(-v))/v the weights are h (p - a)/v and
+    # h (1 - p)/v. Both lose their digits to cancellation as v -> 0, hence the series of
+    # phi2 = (1 - p)/v below v = 1/2, whose first omitted term is below 1e-17.
+    v = rate * h
+    small = v < 0.5
+    v_small = jnp.where(small, v, 0.0)
+    phi2 = jnp.zeros_like(v_small)
+    for k in reversed(range(14)):
+        phi2 = 1.0 / math.factorial(k + 2) - v_small * phi2
+    phi1 = 1.0 - v_small * phi2
+    v_large = jnp.where(small, 1.0, v)
+    p = -jnp.expm1(-v_large) / v_large
+    left = jnp.where(small, phi1 - phi2, (p - jnp.exp(-v_large)) / v_large)
+    right = jnp.where(small, phi2, (1.0 - p) / v_large)
+    return _Hold(jnp.exp(-v), h * left, h * right)
+
+
+class LowPass(AbstractFilter):
+    """`F(s) = rate / (s + rate)`, the filter of the paper (eq. fil), `rate` in rad/s.
+
+    Its state is the filtered signal itself.
+
+    Source: theory, sections 2 and 8; paper, eq. (fil).
+    """
+
+    rate: Float[Array, ""] = eqx.field(converter=real)
+
+    def __check_init__(self):
+        positive("rate", self.rate, "rad/s")
+
+    @property
+    def strictly_proper(self):
+        return True
+
+    def inject(self, s):
+        return self.rate * s
+
+    def output(self, X):
+        return X
+
+    def feedthrough(self, s):
+        return 0.0
+
+    def equilibrium(self, s):
+        return jnp.asarray(s)
+
+    def flow(self, X, v):
+        return v - self.rate * X
+
+    def discretise(self, h):
+        return _scalar_hold(self.rate, jnp.asarray(h, self.rate.dtype))
+
+    def advance(self, X, v0, v1, coefficients):
+        decay, left, right = coefficients
+        return decay * X + left * v0 + right * v1
+
+
+class LinearSystem(AbstractLaw):
+    """`X' = A X + v`, the state of any linear observer; `A` of shape `(k, k)`, in 1/s.
+
+    Sampled exactly for a drive that is linear over the interval.
+    """
+
+    A: Float[Array, "k k"] = eqx.field(converter=real)
+
+    def flow(self, X, v):
+        return jnp.tensordot(self.A, X, axes=1) + v
+
+    def discretise(self, h):
+        # exp of [[A h, 1, 0], [0, 0, 1], [0, 0, 0]] holds exp(Ah), phi1(Ah), phi2(Ah).
+        k = self.A.shape[0]
+        h = jnp.asarray(h, self.A.dtype)
+        block = jnp.zeros((3 * k, 3 * k), self.A.dtype)
+        block = block.at[:k, :k].set(self.A * h)
+        block = block.at[: 2 * k, k:].set(jnp.eye(2 * k, dtype=self.A.dtype))
+        power = jax.scipy.linalg.expm(block)
+        right = h * power[:k, 2 * k :]
+        return _Hold(power[:k, :k], h * power[:k, k : 2 * k] - right, right)
+
+    def advance(self, X, v0, v1, coefficients):
+        decay, left, right = coefficients
+        return (
+            jnp.tensordot(decay, X, axes=1)
+            + jnp.tensordot(left, v0, axes=1)
+            + jnp.tensordot(right, v1, axes=1)
+        )
+
+
+class LinearFilter(AbstractFilter):
+    """Any proper stable filter `F(s) = D + C (sI - A)^-1 B` of order `k`.
+
+    `D=None` declares it strictly proper, which a rate relation requires (it uses `pF`).
+    """
+
+    A: Float[Array, "k k"] = eqx.field(converter=real)
+    B: Float[Array, " k"] = eqx.field(converter=real)
+    C: Float[Array, " k"] = eqx.field(converter=real)
+    D: Float[Array, ""] | None = eqx.field(converter=optional_real, default=None)
+
+    def __check_init__(self):
+        shapes = jnp.shape(self.A), jnp.shape(self.B), jnp.shape(self.C)
+        if len(shapes[0]) == 2 and shapes != (2 * shapes[1], shapes[1], shapes[1]):
+            raise ValueError(
+                "Arguments `A`, `B`, `C` must have shapes (k, k), (k,) and (k,), but got "
+                f"{shapes[0]}, {shapes[1]} and {shapes[2]}."
+            )
+        stable("A", self.A)
+
+    @property
+    def strictly_proper(self):
+        return self.D is None
+
+    def inject(self, s):
+        return jnp.multiply.outer(self.B, s)
+
+    def output(self, X):
+        return jnp.tensordot(self.C, X, axes=1)
+
+    def feedthrough(self, s):
+        return 0.0 if self.D is None else self.D * s
+
+    def equilibrium(self, s):
+        return jnp.multiply.outer(-jnp.linalg.solve(self.A, self.B), s)
+
+    def flow(self, X, v):
+        return LinearSystem(self.A).flow(X, v)
+
+    def discretise(self, h):
+        return LinearSystem(self.A).discretise(h)
+
+    def advance(self, X, v0, v1, coefficients):
+        return LinearSystem(self.A).advance(X, v0, v1, coefficients)
+
+
+def second_order(
+    natural_frequency: Float[Array, ""] | float,
+    damping: Float[Array, ""] | float = 0.5**0.5,
+) -> LinearFilter:
+    """`w0^2 / (s^2 + 2 zeta w0 s + w0^2)`, `natural_frequency` w0 in rad/s.
+
+    With `damping = sqrt(1/2)` and `w0 = (W/V)^(1/4)` the algebraic observer of the double
+    integrator *is* its steady-state Kalman filter (theory, section 2), W and V being the
+    two-sided intensities of the input and measurement noise.
+    """
+    w, zeta = real(natural_frequency), real(damping)
+    positive("natural_frequency", w, "rad/s")
+    positive("damping", zeta)
+    zero = jnp.zeros_like(w)
+    A = jnp.stack([jnp.stack([zero, w]), jnp.stack([-w, -2.0 * zeta * w])])
+    return LinearFilter(A, jnp.stack([zero, w]), jnp.stack([zero + 1.0, zero]))
+
+
+def bias_rejecting(rate: Float[Array, ""] | float) -> LinearFilter:
+    """`(2 lam s + lam^2) / (s + lam)^2`, whose derivative at `s = 0` vanishes; `rate`
+    lam in rad/s.
+
+    A constant bias on the input of the double integrator then leaves no error (theory,
+    section 2), which the paper claims of the first-order filter (O4).
+    """
+    lam = real(rate)
+    positive("rate", lam, "rad/s")
+    zero = jnp.zeros_like(lam)
+    A = jnp.stack([jnp.stack([zero, lam]), jnp.stack([-lam, -2.0 * lam])])
+    return LinearFilter(A, jnp.stack([zero, lam]), jnp.stack([zero + 1.0, zero + 2.0]))
+
+
+def sinusoid_rejecting(
+    rate: Float[Array, ""] | float,
+    frequency: Float[Array, ""] | float,
+    damping: Float[Array, ""] | float = 0.7,
+) -> LinearFilter:
+    """A low-pass filter with an internal model of a sinusoid,
+    `rate/(s + rate) (s^2 + w0^2)/(s^2 + 2 zeta w0 s + w0^2)`; `rate` and `frequency` w0
+    in rad/s.
+
+    Zeros at +-j w0 reject a sinusoid of that frequency on the *sensor* (paper,
+    conclusions; theory, section 2). `F[1]` of this form never crosses zero.
+    """
+    lam, w, zeta = real(rate), real(frequency), real(damping)
+    positive("rate", lam, "rad/s")
+    positive("frequency", w, "rad/s")
+    positive("damping", zeta)
+    # The low-pass output x1 drives the notch in controllable form, whose output is
+    # x1 - 2 zeta w0 x3, the zeros being those of s^2 + w0^2.
+    zero = jnp.zeros_like(lam * w * zeta)
+    A = jnp.stack(
+        [
+            jnp.stack([zero - lam, zero, zero]),
+            jnp.stack([zero, zero, zero + w]),
+            jnp.stack([zero + 1.0, zero - w, -2.0 * zeta * w + zero]),
+        ]
+    )
+    B = jnp.stack([zero + lam, zero, zero])
+    C = jnp.stack([zero + 1.0, zero, -2.0 * zeta * w + zero])
+    return LinearFilter(A, B, C)

@@ -1,0 +1,57 @@
+"""The algebraic observer (ASLO): relation, filter, completion, guard."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from .._checks import optional_real
+from ..completions import AbstractCompletion, LeastSquares
+from ..filters import AbstractFilter
+from ..guard import Guard
+from ..realise import Pass
+from ..relations import AbstractTerms
+from .base import AbstractObserver, Estimate
+
+
+class AlgebraicObserver(AbstractObserver):
+    """The Algebraic Swapping Lemma Observer: unmeasured states from an algebraic relation
+    between filtered inputs and outputs.
+
+    - `relation`: `relation(u, y)` gives the terms of one equation in the unmeasured x;
+    - `filter`: the filter of the Swapping Lemma;
+    - `completion`: from one row to all entries of x;
+    - `guard`: coasting while x is not observable; `None` returns the raw solution;
+    - `start`: `"exact"`, the identity holds for every t > 0, or `"paper"`, F[1] settled
+      and every filter from zero, as printed, with the transient that this has;
+    - `initial`: the guess of x before the first certified instant, shape `(n,)`, in the
+      units of x; zero by default.
+
+    Source: Bobtsov, Romero, Ortega, Pyrkin, "An Algebraic State Observer for a Class of
+    Physical Systems", Props 1 and 2; theory, sections 1 to 3.
+    """
+
+    relation: Callable[[PyTree, PyTree], AbstractTerms]
+    filter: AbstractFilter
+    completion: AbstractCompletion = LeastSquares()
+    guard: Guard | None = Guard()
+    start: str = eqx.field(static=True, default="exact")
+    initial: Float[Array, " n"] | None = eqx.field(converter=optional_real, default=None)
+
+    def __check_init__(self):
+        if self.start not in ("exact", "paper"):
+            raise ValueError(
+                f'Argument `start` must be "exact" or "paper", but got {self.start!r}.'
+            )
+
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
+        F = F.using(self.filter, self.start)
+        terms = self.relation(u, y)
+        row = terms.row(F.scope("row"))
+        x, certificate = self.completion(F.scope("completion"), row)
+        if self.guard is None:
+            return Estimate(x, certificate, jnp.asarray(False))
+        initial = jnp.zeros_like(x) if self.initial is None else self.initial
+        value, coasting = self.guard(F.scope("guard"), x, certificate, terms, initial)
+        return Estimate(value, certificate, coasting)

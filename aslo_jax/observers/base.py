@@ -1,0 +1,127 @@
+"""The protocol of every observer."""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, PyTree
+
+from ..realise import Advance, Flow, Pass, Start, States
+
+
+class Estimate(eqx.Module):
+    """An estimate and what is known about it.
+
+    - `value`: the estimated states, shape `(n,)`, in their own units;
+    - `certificate`: a dimensionless measure of observability, shape `()`, see
+      [`AbstractCompletion`][]; 1 for an observer that has none;
+    - `coasting`: whether `value` is carried along the known derivative because the state
+      is not observable now, shape `()`.
+    """
+
+    value: Float[Array, "*batch n"]
+    certificate: Float[Array, "*batch"]
+    coasting: Bool[Array, "*batch"]
+
+
+class ObserverState(eqx.Module):
+    """The state of an observer, a value: save it, restore it, batch it.
+
+    - `states`: every filter and other state, by name;
+    - `y`: the last measurement, from which the next sampling interval begins.
+    """
+
+    states: States
+    y: PyTree
+
+
+class AbstractObserver(eqx.Module):
+    """A state observer, written once as `equations` and run in continuous time
+    (`vector_field`, `estimate`) or sampled (`step`).
+
+    Conventions: `y[k]` is sampled at `t[k]`; `u[k]` is held on `[t[k], t[k+1])`. No
+    estimate has direct feed-through of u.
+    """
+
+    @abc.abstractmethod
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Any:
+        """The observer's equations: a pass `F`, the input `u` and the measurement `y`, to
+        an [`Estimate`][] (or a dictionary of them, for observers side by side)."""
+
+    def init(self, y: PyTree, u: PyTree = 0.0) -> ObserverState:
+        """The state at the first measurement `y`. Of `u` only the shape matters."""
+        y, u = jax.tree.map(jnp.asarray, (y, u))
+        return ObserverState(self.allocate(y, u).states, y)
+
+    def allocate(self, y: PyTree, u: PyTree = 0.0) -> Start:
+        """The pass that allocates the states; it knows the laws they follow."""
+        start = Start()
+        self.equations(Pass(start), u, y)
+        return start
+
+    def vector_field(
+        self, t: Float[Array, ""], state: ObserverState, u: PyTree, y: PyTree
+    ) -> ObserverState:
+        """The derivative of `state` at time `t` (s); that of its `y` is zero."""
+        del t
+        flow = Flow(state.states)
+        self.equations(Pass(flow), u, y)
+        return ObserverState(flow.rates, jax.tree.map(jnp.zeros_like, state.y))
+
+    def estimate(
+        self, t: Float[Array, ""], state: ObserverState, u: PyTree, y: PyTree
+    ) -> Any:
+        """The estimate at time `t` (s), in continuous time."""
+        del t
+        return self.equations(Pass(Flow(state.states)), u, y)
+
+    def step(
+        self,
+        state: ObserverState,
+        u: PyTree,
+        y: PyTree,
+        dt: Float[Array, ""] | float,
+        *,
+        substeps: int = 1,
+    ) -> tuple[ObserverState, Any]:
+        """One sample of a control loop: `u` was held over the `dt` seconds that end now,
+        `y` is measured now. Returns the new state and the estimate now.
+
+        `substeps` split the interval with interpolated y, where products of signals curve
+        within it.
+        """
+        coefficients = self.allocate(y, u).discretise(jnp.asarray(dt) / substeps)
+        return self.advance(state, u, y, coefficients, substeps=substeps)
+
+    def advance(
+        self,
+        state: ObserverState,
+        u: PyTree,
+        y: PyTree,
+        coefficients: PyTree,
+        *,
+        substeps: int = 1,
+    ) -> tuple[ObserverState, Any]:
+        """[`step`][] with the coefficients of the laws, `allocate(y, u).discretise(dt /
+        substeps)`, already at hand."""
+        left = Flow(state.states)
+        self.equations(Pass(left), u, state.y)
+        at_left = left.states, left.drives
+        if substeps > 1:
+
+            def piece(at_left, theta):
+                right = Advance(*at_left, coefficients)
+                self.equations(Pass(right), u, _between(state.y, y, theta))
+                return (right.advanced, right.drives), None
+
+            inner = jnp.arange(1, substeps) / substeps
+            at_left, _ = jax.lax.scan(piece, at_left, inner)
+        right = Advance(*at_left, coefficients)
+        estimate = self.equations(Pass(right), u, y)
+        return ObserverState(right.advanced, y), estimate
+
+
+def _between(y0: PyTree, y1: PyTree, theta: Float[Array, ""]) -> PyTree:
+    return jax.tree.map(lambda a, b: a + theta.astype(a.dtype) * (b - a), y0, y1)

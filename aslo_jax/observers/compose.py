@@ -1,0 +1,42 @@
+"""Observers of observers: side by side, and in stages."""
+
+from collections.abc import Callable
+from typing import Any
+
+from jaxtyping import PyTree
+
+from ..realise import Pass
+from .base import AbstractObserver
+
+
+class SideBySide(AbstractObserver):
+    """Several observers of the same signals as one; the estimate is a dictionary of
+    theirs."""
+
+    observers: dict[str, AbstractObserver]
+
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> dict[str, Any]:
+        return {
+            name: observer.equations(F.scope(name), u, y)
+            for name, observer in self.observers.items()
+        }
+
+
+class Staged(AbstractObserver):
+    """A first observer, and a second one that measures what `connect` makes of its
+    estimate.
+
+    - `connect(u, y, estimate) -> (u, y)`: the signals of the second stage.
+
+    The estimate is a dictionary with the entries `first` and `second`.
+    """
+
+    first: AbstractObserver
+    second: AbstractObserver
+    connect: Callable[[PyTree, PyTree, Any], tuple[PyTree, PyTree]]
+
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> dict[str, Any]:
+        first = self.first.equations(F.scope("first"), u, y)
+        u, y = self.connect(u, y, first)
+        second = self.second.equations(F.scope("second"), u, y)
+        return {"first": first, "second": second}

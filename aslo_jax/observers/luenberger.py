@@ -1,0 +1,63 @@
+"""The reduced-order Luenberger observer of a linear system."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from .._checks import is_concrete, optional_real, positive, real, stable
+from ..filters import LinearSystem
+from ..realise import Pass
+from .base import AbstractObserver, Estimate
+
+
+class ReducedLuenberger(AbstractObserver):
+    """Estimates the unmeasured states of `x' = A x + B u`, whose first `p` states are
+    measured, `y = x[:p]`.
+
+    - `A`, shape `(n, n)`, in 1/s; `B`, shape `(n, m)`;
+    - `gain`, shape `(n - p, p)`: the error obeys `e' = (A22 - gain A12) e`;
+    - `initial`: the estimate at the first instant, shape `(n - p,)`; by default the inner
+      state starts at zero, as in the paper.
+
+    The estimate has shape `(n - p,)`; its certificate is 1.
+
+    Source: paper, eq. (lueobs).
+    """
+
+    A: Float[Array, "n n"] = eqx.field(converter=real)
+    B: Float[Array, "n m"] = eqx.field(converter=real)
+    gain: Float[Array, "k p"] = eqx.field(converter=real)
+    initial: Float[Array, " k"] | None = eqx.field(converter=optional_real, default=None)
+
+    def __check_init__(self):
+        if jnp.ndim(self.gain) != 2 or sum(jnp.shape(self.gain)) != jnp.shape(self.A)[-1]:
+            raise ValueError(
+                "Argument `gain` must have shape (n - p, p) for n states of which p are "
+                f"measured, but got {jnp.shape(self.gain)} for n = {jnp.shape(self.A)[-1]}."
+            )
+        if is_concrete(self.A, self.gain):
+            stable("A22 - gain A12", self._error_matrix())
+
+    @classmethod
+    def of_chain(cls, order: int, rate: Float[Array, ""] | float) -> "ReducedLuenberger":
+        """For the chain of `order` integrators, every pole at `-rate` (rad/s)."""
+        pole, k = real(rate), order - 1
+        positive("rate", pole, "rad/s")
+        gain = jnp.stack([math.comb(k, j) * pole**j for j in range(1, k + 1)])
+        return cls(jnp.eye(order, k=1), jnp.eye(order)[:, -1:], gain[:, None])
+
+    def _error_matrix(self) -> Array:
+        p = self.gain.shape[1]
+        return self.A[p:, p:] - self.gain @ self.A[:p, p:]
+
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
+        u, y = jnp.atleast_1d(u), jnp.atleast_1d(y)
+        p, L = self.gain.shape[1], self.gain
+        error = self._error_matrix()
+        A, B = self.A, self.B
+        drive = (error @ L + A[p:, :p] - L @ A[:p, :p]) @ y + (B[p:] - L @ B[:p]) @ u
+        start = jnp.zeros_like(drive) if self.initial is None else self.initial - L @ y
+        value = F.evolve(LinearSystem(error), drive, start, "luenberger") + L @ y
+        return Estimate(value, jnp.ones_like(value[0]), jnp.asarray(False))

@@ -1,0 +1,29 @@
+"""The protocol of every plant."""
+
+import abc
+
+import equinox as eqx
+from jaxtyping import Array, Float, PyTree
+
+
+class AbstractPlant(eqx.Module):
+    """A system `x' = f(t, x, u)` with measured output `y` and a hidden part to estimate.
+
+    A plant is its parameters, in SI units; its state is a value.
+    """
+
+    @abc.abstractmethod
+    def initial(self) -> PyTree:
+        """The default state at the first instant."""
+
+    @abc.abstractmethod
+    def vector_field(self, t: Float[Array, ""], x: PyTree, u: PyTree) -> PyTree:
+        """`dx/dt` at time `t` (s)."""
+
+    @abc.abstractmethod
+    def output(self, x: PyTree) -> PyTree:
+        """The measurement y; it has no direct feed-through of u."""
+
+    @abc.abstractmethod
+    def hidden(self, x: PyTree) -> Float[Array, " n"]:
+        """The unmeasured state that an observer estimates, shape `(n,)`."""

@@ -1,0 +1,172 @@
+"""Relations between the unmeasured state and measured signals, and their rows.
+
+A relation is any callable `relation(u, y)` that returns the terms of one equation in the
+unmeasured `x` at an instant: [`Linear`][], [`Rate`][] or [`Quadratic`][]. `x` has a known
+derivative `x' = A x + z` (`A` mostly absent). The Swapping Lemma turns the terms into a
+[`Row`][], `r'x = b` with r and b measured, and a row into further rows.
+"""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .realise import Pass
+
+
+class Row(eqx.Module):
+    """One row `r'x = b`, or a batch of them, with `x' = A x + z`."""
+
+    r: Float[Array, "*rows n"]
+    b: Float[Array, "*rows"]
+    z: Float[Array, " n"]
+    A: Float[Array, "n n"] | None
+    # What r is measured against, entry by entry: its settled size, or the size of the
+    # terms that it is the difference of. A small r beside them is rounding and noise.
+    scale: Float[Array, " n"]
+    # Whether r is a constant once its filters have settled, which is how the paper's
+    # start takes it.
+    constant: bool = eqx.field(static=True, default=False)
+
+
+class AbstractTerms(eqx.Module):
+    """The terms of a relation at an instant."""
+
+    z: eqx.AbstractVar[Float[Array, " n"]]
+    A: eqx.AbstractVar[Float[Array, "n n"] | None]
+
+    @abc.abstractmethod
+    def row(self, F: Pass) -> Row:
+        """The relation as a row `r'x = b` free of unmeasured derivatives."""
+
+    def drift(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
+        """The known derivative `A x + z` at `x` (units of x per second)."""
+        return self.z if self.A is None else self.A @ x + self.z
+
+
+class Linear(AbstractTerms):
+    """`c'x = d`, with `x' = A x + z`: already a row (theory, section 2)."""
+
+    c: Float[Array, " n"]
+    d: Float[Array, ""]
+    z: Float[Array, " n"]
+    A: Float[Array, "n n"] | None = None
+
+    def row(self, F):
+        scale = _size(F, self.c, self.A)
+        return Row(self.c, self.d, self.z, self.A, scale)
+
+
+class Rate(AbstractTerms):
+    """`c'x = d + s'`, with `x' = A x + z` and `s` measured but not its derivative.
+
+    `b = F[d] + pF[s] + (swapping term)`, `r = F[c]` (theory, section 2; Prop. 1 with
+    c = 1, s = y, z = u). `constant=True` declares that c and A do not vary, so that the
+    paper's start takes F[c] as settled.
+    """
+
+    c: Float[Array, " n"]
+    s: Float[Array, ""]
+    z: Float[Array, " n"]
+    d: Float[Array, ""] | None = None
+    A: Float[Array, "n n"] | None = None
+    constant: bool = eqx.field(static=True, default=False)
+
+    def row(self, F):
+        X = filtered_rows(F, self.c, self.A, self.constant, "r")
+        drive = contract(X, self.z)
+        if self.d is not None:
+            drive = drive + F.inject(self.d)
+        b = F.p(self.s, "s") + F.output(F.hidden(drive, "b"))
+        scale = _size(F, self.c, self.A)
+        return Row(F.output(X), b, self.z, self.A, scale, self.constant)
+
+
+class Quadratic(AbstractTerms):
+    """`1/2 x'Q x = c'x + d`, with `x' = z` and Q constant and symmetric.
+
+    The relation times F[1], less the filtered relation, has no quadratic term left:
+    `r = C K - (C H) c`, `b = (C H) d + C W` with `H' = A H + B`,
+    `K' = A K + B c' + H (Q z)'`, `W' = A W - B d + K z` (theory, section 2; Prop. 2).
+    A constant in d drops out with the exact start.
+    """
+
+    Q: Float[Array, "n n"]
+    c: Float[Array, " n"]
+    d: Float[Array, ""]
+    z: Float[Array, " n"]
+    A: Float[Array, "n n"] | None = eqx.field(default=None, init=False)
+
+    def row(self, F):
+        H = F.settling("one")
+        Qz = jnp.sum(self.Q * self.z, axis=-1)
+        K = F.hidden(F.inject(self.c) + jnp.multiply.outer(H, Qz), "r")
+        W = F.hidden(contract(K, self.z) - F.inject(self.d), "b")
+        one, k = F.output(H), F.output(K)
+        r = k - one * self.c
+        b = one * self.d + F.output(W)
+        return Row(r, b, self.z, None, jnp.abs(k) + jnp.abs(one * self.c))
+
+
+def contract(X: Float[Array, "*order n"], z: Float[Array, " n"]) -> Float[Array, "*order"]:
+    """`X z`, elementwise so that it fuses with what surrounds it."""
+    return jnp.sum(X * z, axis=-1)
+
+
+def filtered_rows(
+    F: Pass,
+    r: Float[Array, "*rows n"],
+    A: Float[Array, "n n"] | None,
+    constant: bool,
+    name: str,
+) -> Float[Array, "*order_rows n"]:
+    """`X' = A_f X + B r' - X A`, the hidden state of the filtered rows.
+
+    Constant rows are taken as settled with the paper's start.
+    """
+    injected = F.inject(r)
+    if constant and not F.exact:
+        if A is None:
+            return F.filter.equilibrium(r)
+        return _settled_rows(F, injected, A)
+    if A is None:
+        return F.hidden(injected, name)
+    return F.hidden(lambda X: injected - X @ A, name, jnp.zeros_like(injected))
+
+
+def _size(F: Pass, c: Float[Array, " n"], A: Float[Array, "n n"] | None) -> Array:
+    """What the entries of a filtered row settle at; A spreads c over all of them."""
+    if A is None:
+        return jnp.abs(c)
+    size = jnp.abs(c) + jnp.abs(F.output(_settled_rows(F, F.inject(c), A)))
+    return F.state("scale", size, jnp.zeros_like(size))
+
+
+def _settled_rows(F: Pass, injected: Array, A: Float[Array, "n n"]) -> Array:
+    return settled(lambda X: F.filter.flow(X, injected) - X @ A, injected)
+
+
+def settled(rate: Callable[[Array], Array], like: Array) -> Array:
+    """The X of the shape of `like` with `rate(X) = 0`, `rate` being affine."""
+
+    def flat(X):
+        return rate(X.reshape(like.shape)).reshape(-1)
+
+    zero = jnp.zeros(like.size, like.dtype)
+    return jnp.linalg.solve(jax.jacfwd(flat)(zero), -flat(zero)).reshape(like.shape)
+
+
+def swap(F: Pass, row: Row) -> Row:
+    """A further row from a row, or from a batch of them, by the Swapping Lemma.
+
+    `F[r'x] = F[b]` becomes `(C X + D r')x = C E + D b` with `X' = A_f X + B r' - X A` and
+    `E' = A_f E + X z + B b` (theory, section 2, general filter; paper, App. A).
+    """
+    X = filtered_rows(F, row.r, row.A, row.constant, "r")
+    E = F.hidden(contract(X, row.z) + F.inject(row.b), "b")
+    r = F.output(X) + F.filter.feedthrough(row.r)
+    b = F.output(E) + F.filter.feedthrough(row.b)
+    return Row(r, b, row.z, row.A, row.scale, row.constant)

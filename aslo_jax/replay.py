@@ -1,0 +1,182 @@
+"""Running an observer over a recorded log."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, PyTree
+
+from ._checks import is_concrete, real
+from .observers import AbstractObserver, ObserverState
+
+
+def replay(
+    observer: AbstractObserver,
+    t: ArrayLike,
+    u: PyTree[ArrayLike],
+    y: PyTree[ArrayLike],
+    *,
+    substeps: int = 1,
+    state: ObserverState | None = None,
+    return_state: bool = False,
+    max_gap: float | None = None,
+) -> Any:
+    """Run an observer over a log: arrays in, arrays out, one `lax.scan`.
+
+    `y[k]` is sampled at `t[k]` (s) and `u[k]` is held on `[t[k], t[k+1])`, so the last u
+    is unused. The estimate at `t[k]` uses nothing later than `y[k]`; `estimate[0]` is the
+    initial guess, flagged as coasting.
+
+    **Arguments:**
+
+    - `t`, shape `(N,)`; `u` and `y`, arrays or trees of them with a leading axis of
+      length `N`, in the units of the observer's relation;
+    - `substeps`: split each interval with interpolated y, where products of signals curve
+      within it;
+    - `state`: resume from this state, left by an earlier piece of the same log whose last
+      sample is the first sample of this one;
+    - `return_state`: return `(estimate, state)`;
+    - `max_gap`: refuse a log with a longer interval (s).
+
+    Intervals equal to within rounding share their coefficients, computed once; otherwise
+    each interval has its own. Compiled once for each structure of observer and log.
+
+    **Returns:** an [`Estimate`][] whose leaves have a leading axis of length `N`.
+    Differentiable; `jax.vmap` maps it over logs, initial states and parameters.
+
+    **Raises:** `ValueError` (or, under `jax.jit`, an error from `eqx.error_if`) for
+    shapes that differ, a sample that is not finite, time that does not increase, or a gap
+    above `max_gap`.
+    """
+    if substeps < 1:
+        raise ValueError(f"Argument `substeps` must be at least 1, but got {substeps}.")
+    interval = _common_interval(t)
+    u, y = jax.tree.map(jnp.asarray, (u, y))
+    instants = real(t)
+    _check_shapes(instants, u, y)
+    instants = _check_time(instants, max_gap)
+    u, y = _check_finite("u", u), _check_finite("y", y)
+    if interval is None:
+        intervals, common = jnp.diff(instants), None
+    else:
+        intervals, common = None, jnp.asarray(interval, instants.dtype)
+    log = instants[0], u, y, intervals
+    estimate, final = _run(observer, log, common, substeps, state)
+    return (estimate, final) if return_state else estimate
+
+
+@eqx.filter_jit
+def _run(
+    observer: AbstractObserver,
+    log: tuple[Array, PyTree, PyTree, Array | None],
+    common: Array | None,
+    substeps: int,
+    state: ObserverState | None,
+) -> tuple[Any, ObserverState]:
+    t0, u, y, intervals = log
+    u0, y0 = jax.tree.map(lambda s: s[0], (u, y))
+    if state is None:
+        state = observer.init(y0, u0)
+    first = observer.estimate(t0, state, u0, y0)
+    laws = observer.allocate(y0, u0)
+    coefficients = None if common is None else laws.discretise(common / substeps)
+
+    def body(state, sample):
+        u, y, h = sample
+        own = laws.discretise(h / substeps) if coefficients is None else coefficients
+        return observer.advance(state, u, y, own, substeps=substeps)
+
+    held, sampled = jax.tree.map(lambda s: s[:-1], u), jax.tree.map(lambda s: s[1:], y)
+    final, rest = jax.lax.scan(body, state, (held, sampled, intervals))
+    estimate = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest)
+    return estimate, final
+
+
+def _check_shapes(t: Array, u: PyTree, y: PyTree) -> None:
+    if t.ndim != 1 or t.shape[0] < 2:
+        raise ValueError(
+            "Argument `t` must be a vector of at least two instants, but got shape "
+            f"{t.shape}."
+        )
+    for name, signal in (("u", u), ("y", y)):
+        for leaf in jax.tree.leaves(signal):
+            if leaf.ndim == 0 or leaf.shape[0] != t.shape[0]:
+                raise ValueError(
+                    f"Argument `{name}` must have one row for each of the "
+                    f"{t.shape[0]} instants of `t`, but got shape {leaf.shape}."
+                )
+
+
+def _common_interval(t: Any) -> float | None:
+    """The interval of evenly spaced instants, or `None` where they are uneven or traced.
+
+    Read before conversion, so that float64 instants keep their digits."""
+    if not is_concrete(t):
+        return None
+    t = np.asarray(t)
+    if t.ndim != 1 or t.size < 2 or not np.isfinite(t).all():
+        return None
+    even = np.linspace(t[0], t[-1], t.size, dtype=t.dtype)
+    rounding = 4 * np.finfo(t.dtype).eps * np.abs(t).max() if t.dtype.kind == "f" else 0
+    interval = float(t[-1] - t[0]) / (t.size - 1)
+    return interval if interval > 0 and np.abs(t - even).max() <= rounding else None
+
+
+def _check_time(t: Array, max_gap: float | None) -> Array:
+    limit = jnp.inf if max_gap is None else max_gap
+    if not is_concrete(t):
+        gaps = jnp.diff(t)
+        t = eqx.error_if(
+            t,
+            ~jnp.all(jnp.isfinite(t)) | ~jnp.all(gaps > 0),
+            "Argument `t` must be finite and strictly increasing.",
+        )
+        return eqx.error_if(
+            t,
+            jnp.any(gaps > limit),
+            f"Argument `t` must have no gap longer than `max_gap` = {max_gap} s.",
+        )
+    times = np.asarray(t)
+    if not np.isfinite(times).all():
+        row = int(np.argmin(np.isfinite(times)))
+        raise ValueError(
+            f"Argument `t` must be finite, but t[{row}] = {times[row]}; remove or repair "
+            "that row."
+        )
+    gaps = np.diff(times)
+    if not (gaps > 0).all():
+        row = int(np.argmin(gaps > 0)) + 1
+        raise ValueError(
+            f"Argument `t` must be strictly increasing, but t[{row}] = {times[row]} s "
+            f"follows {times[row - 1]} s; sort the log and drop repeated rows."
+        )
+    if (gaps > limit).any():
+        row = int(np.argmax(gaps > limit)) + 1
+        raise ValueError(
+            f"Argument `t` must have no gap longer than `max_gap` = {max_gap} s, but "
+            f"t[{row}] = {times[row]} s follows {times[row - 1]} s; split the log there "
+            "or raise `max_gap`."
+        )
+    return t
+
+
+def _check_finite(name: str, signal: PyTree) -> PyTree:
+    def check(path, leaf):
+        where = f"{name}{jax.tree_util.keystr(path)}"
+        if not is_concrete(leaf):
+            return eqx.error_if(
+                leaf, ~jnp.all(jnp.isfinite(leaf)), f"Argument `{where}` must be finite."
+            )
+        finite = np.isfinite(np.asarray(leaf))
+        if not finite.all():
+            index = tuple(int(i) for i in np.argwhere(~finite)[0])
+            raise ValueError(
+                f"Argument `{where}` must be finite, but row {index[0]} holds "
+                f"{where}[{', '.join(map(str, index))}] = {leaf[index]}; remove or repair "
+                "that row."
+            )
+        return leaf
+
+    return jax.tree_util.tree_map_with_path(check, signal)

@@ -1,0 +1,203 @@
+"""Continuous co-simulation: plant, controller, observers and disturbances in one solve."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from ._checks import is_concrete
+from ._jumps import Span, between_jumps, span
+from .control import AbstractController, OpenLoop
+from .disturbances import AbstractDisturbance
+from .observers import AbstractObserver, ObserverState
+from .plants import AbstractPlant
+
+
+class Simulation(eqx.Module):
+    """What [`simulate`][] returns; every leaf has a leading axis of the `N` instants `t`.
+
+    - `t` (s); `u`, the input that the observers saw; `y`, the measurement they saw;
+    - `x`, the state of the plant; `hidden`, its unmeasured part, shape `(N, n)`;
+    - `estimates`: by observer name; `states`: every inner state of every observer, by
+      observer name and state name.
+    """
+
+    t: Float[Array, "*N"]
+    u: PyTree
+    y: PyTree
+    x: PyTree
+    hidden: Float[Array, "*N n"]
+    estimates: dict[str, Any]
+    states: dict[str, Any]
+
+    def error(self, name: str) -> Float[Array, "*N n"]:
+        """Estimate less truth of observer `name`, in the units of the state."""
+        return self.estimates[name].value - self.hidden
+
+
+class _Loop(eqx.Module):
+    """The interconnection: who sees what."""
+
+    plant: AbstractPlant
+    controller: AbstractController
+    observers: dict[str, AbstractObserver]
+    actuator: AbstractDisturbance | None
+    sensor: AbstractDisturbance | None
+    input_sensor: AbstractDisturbance | None
+    span: Span | None
+
+    def signals(self, t, state):
+        measured = self.plant.output(state["plant"])
+        y = _through(self.sensor, t, state["sensor"], measured)
+        command = self.controller(t, state["controller"], y)
+        applied = _through(self.actuator, t, state["actuator"], command)
+        seen = _through(self.input_sensor, t, state["input_sensor"], command)
+        return measured, y, command, applied, seen
+
+    def init(self, t0, x):
+        measured = self.plant.output(x)
+        sensor = _init(self.sensor, measured)
+        y = _through(self.sensor, t0, sensor, measured)
+        controller = self.controller.init(y)
+        command = jax.tree.map(jnp.asarray, self.controller(t0, controller, y))
+        actuator = _init(self.actuator, command)
+        input_sensor = _init(self.input_sensor, command)
+        seen = _through(self.input_sensor, t0, input_sensor, command)
+        return {
+            "plant": x,
+            "controller": controller,
+            "observers": {k: o.init(y, seen).states for k, o in self.observers.items()},
+            "actuator": actuator,
+            "sensor": sensor,
+            "input_sensor": input_sensor,
+        }
+
+    def vector_field(self, t, state, args):
+        del args
+        if self.span is not None:
+            t = self.span.inside(t)
+        measured, y, command, applied, seen = self.signals(t, state)
+        observers = {
+            name: observer.vector_field(
+                t, ObserverState(state["observers"][name], y), seen, y
+            ).states
+            for name, observer in self.observers.items()
+        }
+        return {
+            "plant": self.plant.vector_field(t, state["plant"], applied),
+            "controller": self.controller.vector_field(t, state["controller"], y),
+            "observers": observers,
+            "actuator": _rate(self.actuator, t, state["actuator"], command),
+            "sensor": _rate(self.sensor, t, state["sensor"], measured),
+            "input_sensor": _rate(self.input_sensor, t, state["input_sensor"], command),
+        }
+
+    def record(self, t, state, args) -> Simulation:
+        del args
+        _, y, _, _, seen = self.signals(t, state)
+        estimates = {
+            name: observer.estimate(t, ObserverState(state["observers"][name], y), seen, y)
+            for name, observer in self.observers.items()
+        }
+        x = state["plant"]
+        return Simulation(
+            t, seen, y, x, self.plant.hidden(x), estimates, state["observers"]
+        )
+
+
+def _through(part, t, state, signal):
+    return signal if part is None else part(t, state, signal)
+
+
+def _init(part, signal):
+    return None if part is None else part.init(signal)
+
+
+def _rate(part, t, state, signal):
+    return None if part is None else part.vector_field(t, state, signal)
+
+
+def simulate(
+    plant: AbstractPlant,
+    controller: AbstractController | Callable[[Float[Array, ""]], PyTree],
+    observers: Mapping[str, AbstractObserver],
+    *,
+    t1: float,
+    t0: float = 0.0,
+    ts: Float[Array, " N"] | None = None,
+    initial: PyTree | None = None,
+    actuator: AbstractDisturbance | None = None,
+    sensor: AbstractDisturbance | None = None,
+    input_sensor: AbstractDisturbance | None = None,
+    solver: diffrax.AbstractSolver | None = None,
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
+    dt0: float | None = None,
+    adjoint: diffrax.AbstractAdjoint | None = None,
+    max_steps: int = 100_000,
+) -> Simulation:
+    """Integrate a plant, its controller, and observers beside each other, with diffrax.
+
+    **Arguments:**
+
+    - `controller`: a controller, or a function of time (s) for an open loop;
+    - `observers`: by name;
+    - `t0`, `t1`: the span (s); `ts`: the instants to save, by default 1001 even ones;
+    - `initial`: the state of the plant at `t0`, by default `plant.initial()`;
+    - `actuator`: between the controller's output and the plant, unseen by the observers;
+      `sensor`: between the plant's output and everyone; `input_sensor`: between the
+      controller's output and the observers;
+    - `solver`, `stepsize_controller`, `dt0`, `adjoint`, `max_steps`: as in
+      `diffrax.diffeqsolve`; by default Tsit5 with `rtol=1e-8`, `atol=1e-10`. Pass
+      `diffrax.ConstantStepSize()` and `dt0` for fixed steps, `diffrax.ForwardMode()` for
+      forward gradients.
+
+    **Returns:** a [`Simulation`][]. Differentiable, and `jax.vmap` maps it over initial
+    states and parameters alike.
+
+    **Raises:** `ValueError` for a span, instants or a step that do not fit; diffrax's own
+    error when the solver fails.
+    """
+    if not isinstance(controller, AbstractController):
+        controller = OpenLoop(controller)
+    if is_concrete(t0, t1) and not t0 < t1:
+        raise ValueError(f"Argument `t1` must be after t0 = {t0} s, but got {t1} s.")
+    if ts is None:
+        ts = jnp.linspace(t0, t1, 1001)
+    elif is_concrete(ts, t0, t1):
+        instants = np.asarray(ts)
+        if not (instants.ndim == 1 and (np.diff(instants) > 0).all()):
+            raise ValueError("Argument `ts` must be a strictly increasing vector.")
+        if instants[0] < t0 or instants[-1] > t1:
+            raise ValueError(
+                f"Argument `ts` must lie in [{t0}, {t1}] s, but it spans "
+                f"[{instants[0]}, {instants[-1]}] s."
+            )
+    within = span((actuator, sensor, input_sensor), t0, t1)
+    parts = (actuator, sensor, input_sensor, within)
+    loop = _Loop(plant, controller, dict(observers), *parts)
+    steps = stepsize_controller
+    if steps is None:
+        steps = diffrax.PIDController(rtol=1e-8, atol=1e-10)
+    steps = between_jumps(steps, within, t0, dt0)
+    x0 = plant.initial() if initial is None else initial
+    ts = jnp.asarray(ts)
+    start, end = jnp.asarray(t0, ts.dtype), jnp.asarray(t1, ts.dtype)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(loop.vector_field),
+        diffrax.Tsit5() if solver is None else solver,
+        start,
+        end,
+        None if dt0 is None else jnp.asarray(dt0, ts.dtype),
+        loop.init(start, x0),
+        saveat=diffrax.SaveAt(ts=ts, fn=loop.record),
+        stepsize_controller=steps,
+        adjoint=diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
+        max_steps=max_steps,
+    )
+    assert solution.ys is not None
+    return solution.ys

@@ -1,0 +1,189 @@
+"""One list of observers, one battery for all. Adding an observer means adding a line."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from motion import PrescribedPMSM
+
+import aslo_jax as aslo
+from aslo_jax.filters import bias_rejecting, second_order, sinusoid_rejecting
+
+MOTOR = PrescribedPMSM()
+CHAIN = aslo.plants.IntegratorChain(2).relation()
+FLUX = MOTOR.relation()
+PARTS = dict(guard=aslo.Guard(1e-4), initial=[0.1])
+FAST = aslo.LowPass(30.0)
+
+
+def flux(completion=None, **settings):
+    completion = aslo.LeastSquares() if completion is None else completion
+    return aslo.AlgebraicObserver(FLUX, FAST, completion, **settings)
+
+
+def chain(filter, completion=None, **settings):
+    completion = aslo.Repeat() if completion is None else completion
+    return aslo.AlgebraicObserver(CHAIN, filter, completion, **settings)
+
+
+OBSERVERS = {
+    "chain, repeat": chain(aslo.LowPass(6.0)),
+    "chain, least squares": chain(aslo.LowPass(6.0), aslo.LeastSquares()),
+    "chain, second order": chain(second_order(5.0)),
+    "chain, bias rejecting": chain(bias_rejecting(5.0)),
+    "chain, sinusoid rejecting": chain(sinusoid_rejecting(6.0, 20.0)),
+    "chain, guarded": chain(aslo.LowPass(6.0), **PARTS),
+    "chain, paper": chain(aslo.LowPass(6.0), guard=None, start="paper"),
+    "chain, asymptotic": aslo.Asymptotic(chain(aslo.LowPass(6.0)), 4.0),
+    "chain, asymptotic from a guess": aslo.Asymptotic(chain(FAST), 4.0, initial=[0.2]),
+    "Luenberger": aslo.ReducedLuenberger.of_chain(2, 6.0),
+    "Kalman": aslo.SteadyStateKalman.design(
+        [[0, 1], [0, 0]], [[0], [1]], [[1, 0]], 1.0, 1e-4, select=[[0.0, 1.0]]
+    ),
+    "flux, least squares": flux(),
+    "flux, repeat": flux(aslo.Repeat()),
+    "flux, bank": flux(aslo.FilterBank([aslo.LowPass(70.0)])),
+    "flux, forgetting": flux(aslo.LeastSquares(aslo.LowPass(10.0))),
+    "flux, paper": flux(aslo.Repeat(), start="paper"),
+    "flux, asymptotic": aslo.Asymptotic(flux(), 20.0),
+    "side by side": aslo.SideBySide({"a": flux(), "b": aslo.Asymptotic(flux(), 20.0)}),
+    "staged": aslo.Staged(
+        flux(),
+        aslo.PhaseLockedLoop(60.0),
+        lambda u, y, e: (
+            u,
+            jnp.arctan2(*(e.value - MOTOR.inductance * y)[::-1]),
+        ),
+    ),
+    "phase-locked loop": aslo.PhaseLockedLoop(40.0),
+}
+N, DT = 400, 2.5e-3
+T = np.arange(N) * DT
+
+
+def log(name):
+    t = jnp.asarray(T)
+    if "flux" in name or name in ("side by side", "staged"):
+        u = jax.vmap(MOTOR.mean_voltage)(t, t + DT)
+        return u, jax.vmap(MOTOR.current)(t), jax.vmap(MOTOR.flux)(t)
+    if name == "phase-locked loop":
+        angle = MOTOR.angle(t)
+        speed = MOTOR.pole_pairs * (2 + 0.5 * jnp.sin(t))
+        return 0 * t, angle, jnp.stack([angle, speed], 1)
+    u = jnp.cos(2 * t)
+    x2 = 0.3 + jnp.concatenate([jnp.zeros(1), jnp.cumsum(u[:-1] * DT)])
+    x1 = 0.2 + jnp.concatenate([jnp.zeros(1), jnp.cumsum((x2 * DT + u * DT**2 / 2)[:-1])])
+    return u, x1, x2[:, None]
+
+
+def values(estimate):
+    """The values of an estimate, or of a dictionary of them."""
+    leaves = jax.tree.leaves(estimate, is_leaf=lambda e: isinstance(e, aslo.Estimate))
+    return [leaf.value for leaf in leaves]
+
+
+@eqx.filter_jit
+def replay(observer, u, y, state=None):
+    return aslo.replay(observer, T, u, y, state=state, return_state=True)
+
+
+@pytest.fixture(params=OBSERVERS)
+def name(request):
+    return request.param
+
+
+def test_the_estimate_approaches_the_truth(name):
+    u, y, truth = log(name)
+    found = values(replay(OBSERVERS[name], u, y)[0])
+    if name == "staged":
+        t = jnp.asarray(T)
+        speed = MOTOR.pole_pairs * (2 + 0.5 * jnp.sin(t))
+        angle = aslo.observers.wrap(found[1][:, 0] - MOTOR.angle(t))
+        assert jnp.abs(angle[-50:]).max() < 0.02
+        assert jnp.abs(found[1][-50:, 1] - speed[-50:]).max() < 0.3
+        found = found[:1]
+    for value in found:
+        assert value.shape == truth.shape
+        scale = jnp.abs(truth).max()
+        slow = ("paper", "guess", "Kalman", "Luenberger", "phase")
+        bound = 0.15 if any(word in name for word in slow) else 0.01
+        assert jnp.abs(value - truth)[-50:].max() < bound * scale
+
+
+def test_replay_equals_a_loop_of_steps(name):
+    observer, (u, y, _) = OBSERVERS[name], log(name)
+    whole, _ = replay(observer, u, y)
+    step = eqx.filter_jit(lambda observer, *signals: observer.step(*signals, DT))
+    state = observer.init(y[0], u[0])
+    for k in range(1, 30):
+        state, estimate = step(observer, state, u[k - 1], y[k])
+        for a, b in zip(jax.tree.leaves(estimate), jax.tree.leaves(whole), strict=True):
+            np.testing.assert_allclose(a, b[k], rtol=1e-10, atol=1e-13)
+
+
+def test_jit_and_vmap_change_nothing(name):
+    observer, (u, y, _) = OBSERVERS[name], log(name)
+    plain = aslo.replay(observer, T, u, y)
+    jitted, _ = replay(observer, u, y)
+    ys = jnp.stack([y, 1.01 * y])
+    batch = jax.jit(jax.vmap(lambda y: aslo.replay(observer, T, u, y)))(ys)
+    for a, b, c in zip(*map(values, (plain, jitted, batch)), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-10)
+        np.testing.assert_allclose(a, c[0], rtol=1e-8, atol=1e-10)
+        assert not np.allclose(c[0], c[1], rtol=1e-6)
+
+
+def test_every_gain_has_a_gradient(name):
+    observer, (u, y, _) = OBSERVERS[name], log(name)
+
+    def loss(observer):
+        found = values(aslo.replay(observer, T[:100], u[:100], y[:100]))
+        return sum(jnp.mean(v[50:] ** 2) for v in found)
+
+    gradient = eqx.filter_jit(eqx.filter_grad(loss))(observer)
+    leaves = jax.tree.leaves(eqx.filter(gradient, eqx.is_inexact_array))
+    assert leaves
+    assert all(jnp.isfinite(leaf).all() for leaf in leaves)
+    assert any(jnp.abs(leaf).max() > 0 for leaf in leaves)
+
+
+def test_single_precision_stays_single_and_close(name):
+    observer, (u, y, _) = OBSERVERS[name], log(name)
+    cast = lambda tree: jax.tree.map(
+        lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, tree
+    )
+    single, _ = replay(cast(observer), cast(u), cast(y))
+    double, _ = replay(observer, u, y)
+    for a, b in zip(values(single), values(double), strict=True):
+        assert a.dtype == jnp.float32
+        scale = jnp.abs(b[-100:]).max()
+        np.testing.assert_allclose(a[-100:], b[-100:], atol=2e-3 * scale)
+
+
+def test_continuous_protocol(name):
+    observer, (u, y, _) = OBSERVERS[name], log(name)
+    state = observer.init(y[0], u[0])
+    rate = observer.vector_field(jnp.zeros(()), state, u[0], y[0])
+    assert jax.tree.structure(rate) == jax.tree.structure(state)
+    for a, b in zip(jax.tree.leaves(rate), jax.tree.leaves(state), strict=True):
+        assert a.shape == b.shape and a.dtype == b.dtype
+    assert all(jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(rate))
+    estimate = observer.estimate(jnp.zeros(()), state, u[0], y[0])
+    assert all(jnp.isfinite(value).all() for value in values(estimate))
+
+
+def test_the_estimate_has_no_feedthrough_of_the_input(name):
+    observer, (u, y, _) = OBSERVERS[name], log(name)
+    _, state = replay(observer, u, y)
+    estimate = eqx.filter_jit(lambda o, *signals: o.estimate(jnp.zeros(()), *signals))
+    a = estimate(observer, state, u[0], y[-1])
+    b = estimate(observer, state, u[0] + 7.0, y[-1])
+    for p, q in zip(values(a), values(b), strict=True):
+        np.testing.assert_array_equal(p, q)
+
+
+def test_repr_names_the_parts(name):
+    observer = OBSERVERS[name]
+    assert type(observer).__name__ in repr(observer)
+    assert "f64[]" in repr(observer) or "f64[" in repr(observer)
