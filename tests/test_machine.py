@@ -154,7 +154,8 @@ def test_what_is_not_a_file(tmp_path):
 
 
 @pytest.mark.parametrize("speed", [3.0, -40.0, 250.0])
-def test_electrical_speed_of_a_turning_flux(rng, speed):
+def test_electrical_speed_of_a_turning_flux(speed):
+    rng = np.random.default_rng(1)
     """A flux that turns at `speed` with u - R i = its derivative, then with noise on u."""
     t = 2e-4 * np.arange(8000)
     angle = speed * t

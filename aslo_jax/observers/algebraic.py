@@ -34,8 +34,9 @@ class AlgebraicObserver(AbstractObserver):
 
     relation: Callable[[PyTree, PyTree], AbstractTerms]
     filter: AbstractFilter
-    completion: AbstractCompletion = LeastSquares()
-    guard: Guard | None = Guard()
+    # Built when used: an array made on import has the precision of that moment.
+    completion: AbstractCompletion = eqx.field(default_factory=LeastSquares)
+    guard: Guard | None = eqx.field(default_factory=Guard)
     start: str = eqx.field(static=True, default="exact")
     initial: Float[Array, " n"] | None = eqx.field(converter=optional_real, default=None)
 

@@ -90,7 +90,7 @@ class AbstractObserver(eqx.Module):
         `y` is measured now. Returns the new state and the estimate now.
 
         `substeps` split the interval with interpolated y, where products of signals curve
-        within it.
+        within it. Compile a loop of steps with `eqx.filter_jit`.
         """
         coefficients = self.allocate(y, u).discretise(jnp.asarray(dt) / substeps)
         return self.advance(state, u, y, coefficients, substeps=substeps)
@@ -108,17 +108,17 @@ class AbstractObserver(eqx.Module):
         substeps)`, already at hand."""
         left = Flow(state.states)
         self.equations(Pass(left), u, state.y)
-        at_left = left.states, left.drives
+        states, drives = left.states, left.drives
         if substeps > 1:
 
             def piece(at_left, theta):
-                right = Advance(*at_left, coefficients)
+                right = Advance(at_left[0], at_left[1], coefficients)
                 self.equations(Pass(right), u, _between(state.y, y, theta))
                 return (right.advanced, right.drives), None
 
             inner = jnp.arange(1, substeps) / substeps
-            at_left, _ = jax.lax.scan(piece, at_left, inner)
-        right = Advance(*at_left, coefficients)
+            (states, drives), _ = jax.lax.scan(piece, (states, drives), inner)
+        right = Advance(states, drives, coefficients)
         estimate = self.equations(Pass(right), u, y)
         return ObserverState(right.advanced, y), estimate
 
