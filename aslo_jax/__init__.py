@@ -16,6 +16,7 @@ from .completions import (
     LeastSquares as LeastSquares,
     Repeat as Repeat,
 )
+from .experiment import Experiment as Experiment, Record as Record
 from .filters import (
     AbstractFilter as AbstractFilter,
     LinearFilter as LinearFilter,

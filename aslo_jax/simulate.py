@@ -49,22 +49,37 @@ class _Loop(eqx.Module):
     actuator: AbstractDisturbance | None
     sensor: AbstractDisturbance | None
     input_sensor: AbstractDisturbance | None
+    feedback: Callable[[PyTree, PyTree, dict[str, Any]], PyTree] | None
     span: Span | None
+
+    def fed(self, t, x, y, observers):
+        if self.feedback is None:
+            return y
+        # No estimate depends on u at the instant, so any of its shape will do.
+        u = jax.tree.map(jnp.zeros_like, y)
+        estimates = {
+            name: observer.estimate(t, ObserverState(observers[name], y), u, y)
+            for name, observer in self.observers.items()
+        }
+        return self.feedback(y, x, estimates)
 
     def signals(self, t, state):
         measured = self.plant.output(state["plant"])
         y = _through(self.sensor, t, state["sensor"], measured)
-        command = self.controller(t, state["controller"], y)
+        fed = self.fed(t, state["plant"], y, state["observers"])
+        command = self.controller(t, state["controller"], fed)
         applied = _through(self.actuator, t, state["actuator"], command)
         seen = _through(self.input_sensor, t, state["input_sensor"], command)
-        return measured, y, command, applied, seen
+        return measured, y, fed, command, applied, seen
 
     def init(self, t0, x):
         measured = self.plant.output(x)
         sensor = _init(self.sensor, measured)
         y = _through(self.sensor, t0, sensor, measured)
-        controller = self.controller.init(y)
-        command = jax.tree.map(jnp.asarray, self.controller(t0, controller, y))
+        blind = {} if self.feedback is None else self.observers
+        fed = self.fed(t0, x, y, {k: o.init(y).states for k, o in blind.items()})
+        controller = self.controller.init(fed)
+        command = jax.tree.map(jnp.asarray, self.controller(t0, controller, fed))
         actuator = _init(self.actuator, command)
         input_sensor = _init(self.input_sensor, command)
         seen = _through(self.input_sensor, t0, input_sensor, command)
@@ -81,7 +96,7 @@ class _Loop(eqx.Module):
         del args
         if self.span is not None:
             t = self.span.inside(t)
-        measured, y, command, applied, seen = self.signals(t, state)
+        measured, y, fed, command, applied, seen = self.signals(t, state)
         observers = {
             name: observer.vector_field(
                 t, ObserverState(state["observers"][name], y), seen, y
@@ -90,7 +105,7 @@ class _Loop(eqx.Module):
         }
         return {
             "plant": self.plant.vector_field(t, state["plant"], applied),
-            "controller": self.controller.vector_field(t, state["controller"], y),
+            "controller": self.controller.vector_field(t, state["controller"], fed),
             "observers": observers,
             "actuator": _rate(self.actuator, t, state["actuator"], command),
             "sensor": _rate(self.sensor, t, state["sensor"], measured),
@@ -99,7 +114,7 @@ class _Loop(eqx.Module):
 
     def record(self, t, state, args) -> Simulation:
         del args
-        _, y, _, _, seen = self.signals(t, state)
+        _, y, _, _, _, seen = self.signals(t, state)
         estimates = {
             name: observer.estimate(t, ObserverState(state["observers"][name], y), seen, y)
             for name, observer in self.observers.items()
@@ -134,6 +149,7 @@ def simulate(
     actuator: AbstractDisturbance | None = None,
     sensor: AbstractDisturbance | None = None,
     input_sensor: AbstractDisturbance | None = None,
+    feedback: Callable[[PyTree, PyTree, dict[str, Any]], PyTree] | None = None,
     solver: diffrax.AbstractSolver | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     dt0: float | None = None,
@@ -151,6 +167,8 @@ def simulate(
     - `actuator`: between the controller's output and the plant, unseen by the observers;
       `sensor`: between the plant's output and everyone; `input_sensor`: between the
       controller's output and the observers;
+    - `feedback(y, x, estimates)`: what the controller is fed, by default y. Then u must
+      have the shape of y, since estimates are needed before there is an input;
     - `solver`, `stepsize_controller`, `dt0`, `adjoint`, `max_steps`: as in
       `diffrax.diffeqsolve`; by default Tsit5 with `rtol=1e-8`, `atol=1e-10`. Pass
       `diffrax.ConstantStepSize()` and `dt0` for fixed steps, `diffrax.ForwardMode()` for
@@ -178,7 +196,7 @@ def simulate(
                 f"[{instants[0]}, {instants[-1]}] s."
             )
     within = span((actuator, sensor, input_sensor), t0, t1)
-    parts = (actuator, sensor, input_sensor, within)
+    parts = (actuator, sensor, input_sensor, feedback, within)
     loop = _Loop(plant, controller, dict(observers), *parts)
     steps = stepsize_controller
     if steps is None:

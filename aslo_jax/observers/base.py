@@ -50,14 +50,16 @@ class AbstractObserver(eqx.Module):
         """The observer's equations: a pass `F`, the input `u` and the measurement `y`, to
         an [`Estimate`][] (or a dictionary of them, for observers side by side)."""
 
-    def init(self, y: PyTree, u: PyTree = 0.0) -> ObserverState:
-        """The state at the first measurement `y`. Of `u` only the shape matters."""
-        y, u = jax.tree.map(jnp.asarray, (y, u))
+    def init(self, y: PyTree, u: PyTree | None = None) -> ObserverState:
+        """The state at the first measurement `y`. Of `u` only the shape matters, which by
+        default is that of y."""
+        y = jax.tree.map(jnp.asarray, y)
         return ObserverState(self.allocate(y, u).states, y)
 
-    def allocate(self, y: PyTree, u: PyTree = 0.0) -> Start:
+    def allocate(self, y: PyTree, u: PyTree | None = None) -> Start:
         """The pass that allocates the states; it knows the laws they follow."""
         start = Start()
+        u = jax.tree.map(jnp.zeros_like, y) if u is None else jax.tree.map(jnp.asarray, u)
         self.equations(Pass(start), u, y)
         return start
 

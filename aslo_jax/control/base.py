@@ -1,0 +1,45 @@
+"""The protocol of every controller."""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+from jaxtyping import Array, Float, PyTree
+
+
+class AbstractController(eqx.Module):
+    """From what it is fed to the input u, with a state of its own where it needs one.
+
+    In continuous time the state is integrated with the plant; sampled, it advances by
+    `dt vector_field` after each sample. What it is fed is the measurement y, unless the
+    loop has a `feedback` of its own: `feedback(y, x, estimates)` makes it from the
+    measurement, the state of the plant (an encoder, say) and the observers' estimates.
+    """
+
+    @abc.abstractmethod
+    def init(self, fed: PyTree) -> PyTree:
+        """The state at the first instant."""
+
+    @abc.abstractmethod
+    def vector_field(self, t: Float[Array, ""], state: PyTree, fed: PyTree) -> PyTree:
+        """The derivative of the state at time t (s)."""
+
+    @abc.abstractmethod
+    def __call__(self, t: Float[Array, ""], state: PyTree, fed: PyTree) -> PyTree:
+        """The input u at time t (s)."""
+
+
+class OpenLoop(AbstractController):
+    """`u = signal(t)`, whatever is measured."""
+
+    signal: Callable[[Float[Array, ""]], PyTree]
+
+    def init(self, fed):
+        del fed
+
+    def vector_field(self, t, state, fed):
+        del t, state, fed
+
+    def __call__(self, t, state, fed):
+        del state, fed
+        return self.signal(t)
