@@ -24,11 +24,17 @@ from .filters import (
 )
 from .guard import Guard as Guard
 from .observers import (
+    FO1 as FO1,
+    FO2 as FO2,
+    FO3 as FO3,
     AbstractObserver as AbstractObserver,
+    AlgebraicMagnet as AlgebraicMagnet,
     AlgebraicObserver as AlgebraicObserver,
     Asymptotic as Asymptotic,
     Estimate as Estimate,
+    ExtendedKalman as ExtendedKalman,
     ObserverState as ObserverState,
+    OpenLoopIntegrator as OpenLoopIntegrator,
     PhaseLockedLoop as PhaseLockedLoop,
     ReducedLuenberger as ReducedLuenberger,
     SideBySide as SideBySide,

@@ -40,6 +40,12 @@ def positive(name: str, x: Array | np.ndarray | float, unit: str = "") -> None:
         )
 
 
+def whole(name: str, x: int) -> None:
+    """Refuse an `x` that is not at least one."""
+    if x < 1:
+        raise ValueError(f"Argument `{name}` must be at least 1, but got {x}.")
+
+
 def stable(name: str, A: Float[Array, "k k"]) -> None:
     """Refuse a concrete matrix that has an eigenvalue with a non-negative real part."""
     if not isinstance(A, jax.Array | np.ndarray) or not is_concrete(A):

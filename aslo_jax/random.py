@@ -58,7 +58,9 @@ def _counters(index, stream: int, count: int) -> tuple[Array, Array]:
             f"Argument `stream` must be an integer in [0, 2**16), but got {stream}."
         )
     if count > 2**16:
-        raise ValueError(f"Argument `shape` must hold at most 2**17 numbers, got {count}.")
+        raise ValueError(
+            f"Argument `shape` must hold at most 2**17 numbers, but got {2 * count}."
+        )
     block = jnp.arange(count, dtype=jnp.uint32) + np.uint32(stream << 16)
     return jnp.broadcast_to(jnp.asarray(index).astype(jnp.uint32), block.shape), block
 

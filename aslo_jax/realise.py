@@ -34,6 +34,14 @@ class AbstractRealisation(abc.ABC):
     def evolve(self, name: str, law: AbstractLaw, drive: Drive, start: PyTree) -> PyTree:
         """The value, now, of the state `name` that follows `law` under `drive`."""
 
+    @abc.abstractmethod
+    def loop(
+        self, name: str, law: AbstractLaw, start: PyTree
+    ) -> tuple[PyTree, Callable[[Drive], PyTree]]:
+        """[`evolve`][] in two parts, for a drive that needs the state by way of others: the
+        value, now, and `close(drive)`, which returns the final value. When sampled, the
+        first value is the predictor of Heun's method and the final one the corrected."""
+
     def claim(self, scope: str, name: str | None) -> str:
         """The full name of a new state: unique in the pass, the same in every pass."""
         if name is None:
@@ -65,6 +73,12 @@ class Start(AbstractRealisation):
         self.laws[name] = law
         return start
 
+    def loop(self, name, law, start):
+        def close(drive):
+            return self.evolve(name, law, drive, start)
+
+        return start, close
+
     def discretise(self, h: Float[Array, ""] | float) -> Mapping[str, PyTree]:
         """The coefficients of every law for intervals of `h` seconds, by state name."""
         distinct = {id(law): law for law in self.laws.values()}
@@ -88,6 +102,12 @@ class Flow(AbstractRealisation):
         self.drives[name] = v
         return X
 
+    def loop(self, name, law, start):
+        def close(drive):
+            return self.evolve(name, law, drive, start)
+
+        return self.states[name], close
+
 
 class Advance(AbstractRealisation):
     """Advances the states over an interval, evaluated at its right end, inner ones first.
@@ -106,13 +126,22 @@ class Advance(AbstractRealisation):
         self.drives: States = {}
 
     def evolve(self, name, law, drive, start):
-        X, left = self.states[name], self.left[name]
-        coefficients = self.coefficients[name]
         if callable(drive):
-            predicted = law.advance(X, left, left, coefficients)
-            advanced = law.advance(X, left, drive(predicted), coefficients)
-        else:
-            advanced = law.advance(X, left, drive, coefficients)
+            return self.loop(name, law, start)[1](drive)
+        return self._finish(name, law, drive, drive)
+
+    def loop(self, name, law, start):
+        left = self.left[name]
+        predicted = law.advance(self.states[name], left, left, self.coefficients[name])
+
+        def close(drive):
+            return self._finish(name, law, drive, _at(drive, predicted))
+
+        return predicted, close
+
+    def _finish(self, name: str, law: AbstractLaw, drive: Drive, right: PyTree) -> PyTree:
+        X, left = self.states[name], self.left[name]
+        advanced = law.advance(X, left, right, self.coefficients[name])
         self.advanced[name] = advanced
         self.drives[name] = _at(drive, advanced)
         return advanced
@@ -124,7 +153,8 @@ class Pass:
     `F(s)` is the filtered signal F[s]; `F.p(s)` is pF[s], its filtered derivative;
     `F.one()` is F[1]; `F.hidden(v)` is a state `X' = A X + v` of the filter itself, from
     which `F.output` gives the filtered signal; `F.state(name, start, rate)` is any other
-    state. `F.using(filter)` binds a filter; `F.scope(name)` nests the names of states.
+    state, `F.loop(law, start)` one that other signals feed back to. `F.using(filter)`
+    binds a filter; `F.scope(name)` nests the names of states.
 
     With `start="exact"` every identity of the library holds for all t > 0; with
     `start="paper"` F[1] is taken as settled and every filter starts from zero, as printed.
@@ -168,6 +198,15 @@ class Pass:
         """A state that follows `law` under `drive`, a value or a function of the state."""
         full = self._realisation.claim(self._scope, name)
         return self._realisation.evolve(full, law, drive, start)
+
+    def loop(
+        self, law: AbstractLaw, start: PyTree, name: str | None = None
+    ) -> tuple[PyTree, Callable[[Drive], PyTree]]:
+        """A state that feeds others which drive it: its value now, and `close(drive)`,
+        which must be called once and returns the final value. The sampled scheme stays of
+        second order."""
+        full = self._realisation.claim(self._scope, name)
+        return self._realisation.loop(full, law, start)
 
     def state(self, name: str, start: Array, rate: Drive) -> Array:
         """Any other state: `rate`, its derivative, is a value or a function of it."""

@@ -2,9 +2,13 @@
 
 import sys
 
-from . import import_time, replay
+from . import import_time, replay, reversal
 
-BENCHMARKS = {"import_time": import_time.main, "replay": replay.main}
+BENCHMARKS = {
+    "import_time": import_time.main,
+    "replay": replay.main,
+    "reversal": reversal.main,
+}
 
 if __name__ == "__main__":
     names = sys.argv[1:] or list(BENCHMARKS)

@@ -51,6 +51,33 @@ class PrescribedPMSM(eqx.Module):
         return aslo.plants.FluxRelation(self.resistance, self.inductance, self.magnet_flux)
 
 
+class Prescribed(eqx.Module):
+    """A machine with every winding fed, whose mechanical angle (rad) and winding currents
+    (A) are given functions of time."""
+
+    machine: aslo.plants.AbstractMachine
+    angle: Callable
+    current: Callable
+
+    def flux(self, t):
+        theta, y = self.machine.pole_pairs * self.angle(t), self.current(t)
+        L = self.machine.inductances(theta)
+        linked = L * y if L.ndim == 0 else L @ y
+        return linked + self.machine.magnet(theta)
+
+    def _voltage(self, derivative, y):
+        return derivative - self.machine.flux_rate(jnp.zeros_like(y), y)
+
+    def voltage(self, t):
+        _, derivative = jax.jvp(self.flux, (t,), (jnp.ones_like(t),))
+        return self._voltage(derivative, self.current(t))
+
+    def mean_voltage(self, t0, t1):
+        """As for [`PrescribedPMSM`][]."""
+        current = 0.5 * (self.current(t0) + self.current(t1))
+        return self._voltage((self.flux(t1) - self.flux(t0)) / (t1 - t0), current)
+
+
 def observe(
     observer: aslo.AbstractObserver,
     u: Callable,

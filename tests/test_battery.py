@@ -57,6 +57,15 @@ OBSERVERS = {
         ),
     ),
     "phase-locked loop": aslo.PhaseLockedLoop(40.0),
+    "flux, FO1": aslo.FO1(FLUX, FAST, 1.0),
+    "flux, FO1, paper": aslo.FO1(FLUX, FAST, 1.0, start="paper"),
+    "flux, FO2": aslo.FO2(FLUX, 1000.0),
+    "flux, FO2, both sides": aslo.FO2(FLUX, 1000.0, one_sided=False),
+    "flux, FO3": aslo.FO3(FLUX, FAST, 30.0),
+    "chain, FO3": aslo.FO3(CHAIN, aslo.LowPass(6.0), 30.0),
+    "flux, open loop": aslo.OpenLoopIntegrator(FLUX, MOTOR.flux(jnp.zeros(()))),
+    "flux, extended Kalman": aslo.ExtendedKalman.of_pmsm(FLUX, 1e-6, 100.0, 1e-8),
+    "magnet": aslo.AlgebraicMagnet(FLUX, FAST),
 }
 N, DT = 400, 2.5e-3
 T = np.arange(N) * DT
@@ -67,6 +76,9 @@ def log(name):
     if "flux" in name or name in ("side by side", "staged"):
         u = jax.vmap(MOTOR.mean_voltage)(t, t + DT)
         return u, jax.vmap(MOTOR.current)(t), jax.vmap(MOTOR.flux)(t)
+    if name == "magnet":
+        u, y, flux = log("flux")
+        return u, y, flux - MOTOR.inductance * y
     if name == "phase-locked loop":
         angle = MOTOR.angle(t)
         speed = MOTOR.pole_pairs * (2 + 0.5 * jnp.sin(t))
@@ -106,7 +118,7 @@ def test_the_estimate_approaches_the_truth(name):
     for value in found:
         assert value.shape == truth.shape
         scale = jnp.abs(truth).max()
-        slow = ("paper", "guess", "Kalman", "Luenberger", "phase")
+        slow = ("paper", "guess", "FO2", "Kalman", "Luenberger", "phase")
         bound = 0.15 if any(word in name for word in slow) else 0.01
         assert jnp.abs(value - truth)[-50:].max() < bound * scale
 

@@ -1,13 +1,32 @@
 """Observers: the protocol, the algebraic ones, their peers, and compositions."""
 
 from .algebraic import AlgebraicObserver as AlgebraicObserver
+from .angle import (
+    AlgebraicMagnet as AlgebraicMagnet,
+    MagnetAngle as MagnetAngle,
+    electrical_angle as electrical_angle,
+    rotor_angle as rotor_angle,
+    track_angle as track_angle,
+)
 from .asymptotic import Asymptotic as Asymptotic
 from .base import (
     AbstractObserver as AbstractObserver,
     Estimate as Estimate,
     ObserverState as ObserverState,
 )
+from .bearing import BearingObserver as BearingObserver
 from .compose import SideBySide as SideBySide, Staged as Staged
+from .extended_kalman import (
+    AbstractModel as AbstractModel,
+    Belief as Belief,
+    ExtendedKalman as ExtendedKalman,
+    PMSMModel as PMSMModel,
+)
+from .fo1 import FO1 as FO1
+from .fo2 import FO2 as FO2
+from .fo3 import FO3 as FO3
 from .kalman import SteadyStateKalman as SteadyStateKalman
 from .luenberger import ReducedLuenberger as ReducedLuenberger
+from .open_loop import OpenLoopIntegrator as OpenLoopIntegrator
 from .pll import PhaseLockedLoop as PhaseLockedLoop, wrap as wrap
+from .self_consistent import SelfConsistent as SelfConsistent

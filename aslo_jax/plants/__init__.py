@@ -1,5 +1,18 @@
 """Plants: the systems whose states are observed."""
 
 from .base import AbstractPlant as AbstractPlant
+from .bearing import (
+    BearingFluxRelation as BearingFluxRelation,
+    BearingState as BearingState,
+    MagneticBearing as MagneticBearing,
+)
 from .chain import ChainRelation as ChainRelation, IntegratorChain as IntegratorChain
-from .pmsm import PMSM as PMSM, FluxRelation as FluxRelation, PMSMState as PMSMState
+from .interior_pmsm import (
+    InteriorPMSM as InteriorPMSM,
+    SalientFluxRelation as SalientFluxRelation,
+    SelfConsistentFluxRelation as SelfConsistentFluxRelation,
+)
+from .machine import AbstractMachine as AbstractMachine, MachineState as MachineState
+from .pmsm import PMSM as PMSM, FluxRelation as FluxRelation
+from .stepper import Stepper as Stepper
+from .wrim import WRIM as WRIM, WindingFluxRelation as WindingFluxRelation

@@ -1,0 +1,100 @@
+"""FO1: the gradient observer of the flux by Bobtsov and others."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from .._checks import optional_real, positive, real
+from ..filters import AbstractFilter, AbstractLaw
+from ..plants.pmsm import FluxRelation
+from ..realise import Pass
+from ._relaxation import relaxation
+from .base import AbstractObserver, Estimate
+
+
+class Regression(NamedTuple):
+    """`Y = omega'eta` for the constant `eta` (Wb), the flux less its integral from zero:
+    `integral` in Wb, `omega` in Wb/s, both of shape `(2,)`; `Y` in Wb^2/s."""
+
+    integral: Float[Array, " 2"]
+    omega: Float[Array, " 2"]
+    Y: Float[Array, ""]
+
+
+class _Gradient(AbstractLaw):
+    """`eta' = gain omega (Y - omega'eta)`; the drive is `(omega, Y)`.
+
+    Sampled: exact for the mean omega and Y of the interval, of which `Y = omega'eta` holds
+    too. Second order, and a contraction whatever the gain.
+    """
+
+    gain: Float[Array, ""]
+
+    def flow(self, X, v):
+        omega, Y = v
+        return self.gain * omega * (Y - jnp.sum(omega * X))
+
+    def discretise(self, h):
+        return jnp.asarray(h, self.gain.dtype)
+
+    def advance(self, X, v0, v1, coefficients):
+        omega, Y = 0.5 * (v0[0] + v1[0]), 0.5 * (v0[1] + v1[1])
+        step = self.gain * relaxation(self.gain * jnp.sum(omega * omega), coefficients)
+        return X + step * omega * (Y - jnp.sum(omega * X))
+
+
+class FO1(AbstractObserver):
+    """The flux of a PMSM as its integral `q` from zero and a constant `eta`, which is found
+    by a gradient search on `|q + eta - L i| = const`:
+
+        q' = u - R i,                    mu = q - L i
+        Y = -pF[|mu|^2],                 omega = pF[2 mu]
+        eta' = gain omega (Y - omega'eta),   flux = q + eta
+
+    - `relation`: of its parts, `resistance` and `inductance` are used;
+    - `filter`: strictly proper;
+    - `gain`, in s/Wb^2: along omega the error decays at the rate `gain |omega|^2`. Any gain
+      is stable when sampled;
+    - `start`: `"exact"` starts the filters at their inputs' first values, so that
+      `Y = omega'eta` holds for every t >= 0; `"paper"` starts them at zero, which leaves
+      `lam (|eta|^2 - m^2) exp(-lam t)` of the low-pass filter, m being the magnet flux;
+    - `initial`: the flux at the first instant (Wb), shape `(2,)`; zero by default.
+
+    The estimate is the stator flux (Wb), shape `(2,)`. It has no certificate: at standstill
+    omega vanishes and its error stays as it is, or drifts as a voltage offset does.
+
+    Source: Bobtsov, Pyrkin, Ortega, Vukosavic, Stankovic, Panteley, "A robust globally
+    convergent position observer for the permanent magnet synchronous motor", Automatica 61
+    (2015) 47-54; paper, eq. (flux_Automatica), without its stray c; theory, section 7.
+    """
+
+    relation: FluxRelation
+    filter: AbstractFilter
+    gain: Float[Array, ""] = eqx.field(converter=real)
+    start: str = eqx.field(static=True, default="exact")
+    initial: Float[Array, " 2"] | None = eqx.field(converter=optional_real, default=None)
+
+    def __check_init__(self):
+        positive("gain", self.gain, "s/Wb^2")
+        if self.start not in ("exact", "paper"):
+            raise ValueError(
+                f'Argument `start` must be "exact" or "paper", but got {self.start!r}.'
+            )
+
+    def regression(
+        self, F: Pass, u: Float[Array, " 2"], y: Float[Array, " 2"]
+    ) -> Regression:
+        """The regression `Y = omega'eta` that the observer searches."""
+        F = F.using(self.filter, self.start)
+        z = u - self.relation.resistance * y
+        q = F.state("integral", jnp.zeros_like(z), z)
+        mu = q - self.relation.inductance * y
+        return Regression(q, 2.0 * F.p(mu, "mu"), -F.p(jnp.sum(mu * mu), "square"))
+
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
+        q, omega, Y = self.regression(F, u, y)
+        start = jnp.zeros_like(q) if self.initial is None else self.initial
+        eta = F.evolve(_Gradient(self.gain), (omega, Y), start, "eta")
+        return Estimate(q + eta, jnp.ones_like(Y), jnp.asarray(False))

@@ -1,0 +1,66 @@
+"""An asymptotic observer whose relation uses its own estimate."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from .._checks import positive, real
+from ..completions import AbstractCompletion, LeastSquares
+from ..filters import AbstractFilter
+from ..guard import Guard
+from ..realise import Pass
+from ..relations import AbstractTerms
+from .algebraic import AlgebraicObserver
+from .asymptotic import _Average, _Correction, _Drive
+from .base import AbstractObserver, Estimate
+
+
+class SelfConsistent(AbstractObserver):
+    """An A-ASLO, `x' = z - gain (x - x_algebraic)`, for a relation whose terms depend
+    weakly on x itself, `relation(u, y, x)`, and take the observer's own estimate for it.
+
+    - `relation`, `filter`, `completion`, `guard`: as of [`AlgebraicObserver`][];
+    - `gain` (rad/s);
+    - `initial`: the estimate at the first instant, shape `(n,)`, in the units of x.
+
+    The estimate is the state where the two agree. There is no proof that they come to
+    agree: for the flux of an interior PMSM they did from every start that was tried, up to
+    Lq/Ld = 3.3 (theory, section 2).
+
+    Source: theory, sections 2 (interior PMSM) and 4.
+    """
+
+    relation: Callable[[PyTree, PyTree, Float[Array, " n"]], AbstractTerms]
+    filter: AbstractFilter
+    gain: Float[Array, ""] = eqx.field(converter=real)
+    initial: Float[Array, " n"] = eqx.field(converter=real)
+    completion: AbstractCompletion = eqx.field(default_factory=LeastSquares)
+    guard: Guard = eqx.field(default_factory=Guard)
+
+    def __check_init__(self):
+        positive("gain", self.gain, "rad/s")
+
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
+        start = _Average(jnp.ones_like(self.initial[0]), self.initial)
+        X, close = F.loop(_Correction(self.gain), start, "average")
+        x = X.estimate()
+
+        def relation(u, y):
+            return self.relation(u, y, x)
+
+        inner = AlgebraicObserver(
+            relation, self.filter, self.completion, self.guard, initial=self.initial
+        )
+        algebraic = inner.equations(F.scope("algebraic"), u, y)
+        terms, certified = relation(u, y), ~algebraic.coasting
+        trust = self.guard.trust(algebraic.certificate)
+
+        def drive(X: _Average) -> _Drive:
+            x = X.estimate()
+            error = algebraic.value - x
+            return _Drive(algebraic.value, certified, trust, terms.drift(x), error)
+
+        value = close(drive).estimate()
+        return Estimate(value, algebraic.certificate, algebraic.coasting)
