@@ -135,7 +135,7 @@ class LowPass(AbstractFilter):
         return 0.0
 
     def equilibrium(self, s):
-        return jnp.asarray(s)
+        return jnp.asarray(s, jnp.result_type(s, self.rate))
 
     def flow(self, X, v):
         return v - self.rate * X

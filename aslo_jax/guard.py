@@ -68,12 +68,13 @@ class Guard(eqx.Module):
         self, certificate: Float[Array, ""], widening: float = 1e3
     ) -> Float[Array, ""]:
         """The weight, from 0 to 1, that corrections towards the algebraic estimate have in
-        continuous time: 0 at the threshold, 1 from twice the threshold upwards (with the
-        default threshold from `widening` times it, where rounding has become small).
+        continuous time: 0 at the threshold, rising to 1 over a width of one threshold, or
+        of `widening` times the default one where that is more (at most 0.01), since there
+        rounding has become small.
 
         Without a step, an adaptive solver does not stumble at the threshold."""
         threshold = self._threshold(certificate)
-        rounding = widening * jnp.finfo(certificate.dtype).eps ** 0.75
+        rounding = min(widening * float(jnp.finfo(certificate.dtype).eps) ** 0.75, 1e-2)
         width = jnp.maximum(threshold, rounding)
         return jnp.clip((certificate - threshold) / width, 0.0, 1.0)
 

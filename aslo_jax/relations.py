@@ -81,7 +81,7 @@ class Rate(AbstractTerms):
         if self.d is not None:
             drive = drive + F.inject(self.d)
         b = F.p(self.s, "s") + F.output(F.hidden(drive, "b"))
-        scale = _size(F, self.c, self.A)
+        scale = _size(F, self.c, self.A, self.constant)
         return Row(F.output(X), b, self.z, self.A, scale, self.constant)
 
 
@@ -137,12 +137,17 @@ def filtered_rows(
     return F.hidden(lambda X: injected - X @ A, name, jnp.zeros_like(injected))
 
 
-def _size(F: Pass, c: Float[Array, " n"], A: Float[Array, "n n"] | None) -> Array:
+def _size(
+    F: Pass, c: Float[Array, " n"], A: Float[Array, "n n"] | None, constant: bool = False
+) -> Array:
     """What the entries of a filtered row settle at; A spreads c over all of them."""
     if A is None:
         return jnp.abs(c)
-    size = jnp.abs(c) + jnp.abs(F.output(_settled_rows(F, F.inject(c), A)))
-    return F.state("scale", size, jnp.zeros_like(size))
+    # A scale only: the estimate does not depend on it, so neither does its gradient. The
+    # rows of a mode that F is no faster than do not settle.
+    settled = jax.lax.stop_gradient(F.output(_settled_rows(F, F.inject(c), A)))
+    size = jnp.abs(c) + jnp.where(jnp.isfinite(settled), jnp.abs(settled), 0.0)
+    return F.state("scale", size, jnp.zeros_like(size)) if constant else size
 
 
 def _settled_rows(F: Pass, injected: Array, A: Float[Array, "n n"]) -> Array:

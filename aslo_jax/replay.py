@@ -27,7 +27,7 @@ def replay(
 
     `y[k]` is sampled at `t[k]` (s) and `u[k]` is held on `[t[k], t[k+1])`, so the last u
     is unused. The estimate at `t[k]` uses nothing later than `y[k]`; `estimate[0]` is the
-    initial guess, flagged as coasting.
+    initial guess, which an observer with a guard flags as coasting.
 
     **Arguments:**
 
@@ -50,19 +50,20 @@ def replay(
     shapes that differ, a sample that is not finite, time that does not increase, or a gap
     above `max_gap`.
     """
-    if substeps < 1:
-        raise ValueError(f"Argument `substeps` must be at least 1, but got {substeps}.")
-    interval = _common_interval(t)
-    u, y = jax.tree.map(jnp.asarray, (u, y))
-    instants = real(t)
+    u, y = jax.tree.map(real, (u, y))
+    # Concrete instants keep the precision they came with until intervals are taken: JAX's
+    # single precision resolves 1 ms after 10,000 s.
+    instants = np.asarray(t) if is_concrete(t) else jnp.asarray(t)
     _check_shapes(instants, u, y)
     instants = _check_time(instants, max_gap)
+    interval = _common_interval(instants)
     u, y = _check_finite("u", u), _check_finite("y", y)
     if interval is None:
-        intervals, common = jnp.diff(instants), None
+        xp = np if is_concrete(instants) else jnp
+        intervals, common = real(xp.diff(instants)), None
     else:
-        intervals, common = None, jnp.asarray(interval, instants.dtype)
-    log = instants[0], u, y, intervals
+        intervals, common = None, real(interval)
+    log = real(instants[0]), u, y, intervals
     estimate, final = _run(observer, log, common, substeps, state)
     return (estimate, final) if return_state else estimate
 
@@ -94,7 +95,7 @@ def _run(
     return estimate, final
 
 
-def _check_shapes(t: Array, u: PyTree, y: PyTree) -> None:
+def _check_shapes(t: Array | np.ndarray, u: PyTree, y: PyTree) -> None:
     if t.ndim != 1 or t.shape[0] < 2:
         raise ValueError(
             "Argument `t` must be a vector of at least two instants, but got shape "
@@ -110,13 +111,8 @@ def _check_shapes(t: Array, u: PyTree, y: PyTree) -> None:
 
 
 def _common_interval(t: Any) -> float | None:
-    """The interval of evenly spaced instants, or `None` where they are uneven or traced.
-
-    Read before conversion, so that float64 instants keep their digits."""
+    """The interval of evenly spaced instants, or `None` where they are uneven or traced."""
     if not is_concrete(t):
-        return None
-    t = np.asarray(t)
-    if t.ndim != 1 or t.size < 2 or not np.isfinite(t).all():
         return None
     even = np.linspace(t[0], t[-1], t.size, dtype=t.dtype)
     rounding = 4 * np.finfo(t.dtype).eps * np.abs(t).max() if t.dtype.kind == "f" else 0
@@ -124,7 +120,7 @@ def _common_interval(t: Any) -> float | None:
     return interval if interval > 0 and np.abs(t - even).max() <= rounding else None
 
 
-def _check_time(t: Array, max_gap: float | None) -> Array:
+def _check_time(t: Any, max_gap: float | None) -> Any:
     limit = jnp.inf if max_gap is None else max_gap
     if not is_concrete(t):
         gaps = jnp.diff(t)
@@ -138,7 +134,7 @@ def _check_time(t: Array, max_gap: float | None) -> Array:
             jnp.any(gaps > limit),
             f"Argument `t` must have no gap longer than `max_gap` = {max_gap} s.",
         )
-    times = np.asarray(t)
+    times = t
     if not np.isfinite(times).all():
         row = int(np.argmin(np.isfinite(times)))
         raise ValueError(

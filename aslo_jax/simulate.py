@@ -170,7 +170,8 @@ def simulate(
     - `feedback(y, x, estimates)`: what the controller is fed, by default y. Then u must
       have the shape of y, since estimates are needed before there is an input;
     - `solver`, `stepsize_controller`, `dt0`, `adjoint`, `max_steps`: as in
-      `diffrax.diffeqsolve`; by default Tsit5 with `rtol=1e-8`, `atol=1e-10`. Pass
+      `diffrax.diffeqsolve`; by default Tsit5 with `rtol=1e-8`, `atol=1e-10`
+      (1e-5 and 1e-7 where JAX computes in single precision). Pass
       `diffrax.ConstantStepSize()` and `dt0` for fixed steps, `diffrax.ForwardMode()` for
       forward gradients.
 
@@ -200,7 +201,9 @@ def simulate(
     loop = _Loop(plant, controller, dict(observers), *parts)
     steps = stepsize_controller
     if steps is None:
-        steps = diffrax.PIDController(rtol=1e-8, atol=1e-10)
+        single = jnp.finfo(jnp.result_type(float)).bits == 32
+        rtol, atol = (1e-5, 1e-7) if single else (1e-8, 1e-10)
+        steps = diffrax.PIDController(rtol=rtol, atol=atol)
     steps = between_jumps(steps, within, t0, dt0)
     x0 = plant.initial() if initial is None else initial
     ts = jnp.asarray(ts)

@@ -38,7 +38,10 @@ CASES = {
     "y scalar": (dict(y=np.float64(1.0)), r"`y` must have one row .* got shape \(\)"),
     "t matrix": (dict(t=T[:, None]), r"`t` must be a vector .* got shape \(50, 1\)"),
     "one row": (dict(t=T[:1], u=U[:1], y=Y[:1]), r"at least two instants, but got shape"),
-    "substeps": (dict(substeps=0), r"`substeps` must be at least 1, but got 0"),
+    "substeps": (
+        dict(substeps=0),
+        r"`substeps` must be an integer of at least 1, but got 0",
+    ),
 }
 
 
@@ -95,6 +98,12 @@ def test_observers_refuse_what_does_not_fit():
     second = aslo.AlgebraicObserver(relation, aslo.filters.second_order(3.0))
     with pytest.raises(ValueError, match="`forgetting` must be a `LowPass`"):
         second.init(jnp.zeros(()), jnp.zeros(()))
+    with pytest.raises(ValueError, match=r"`initial` must have the shape \(3,\).*\(2,\)"):
+        aslo.AlgebraicObserver(relation, aslo.LowPass(5.0), initial=[1.0, 2.0]).init(
+            jnp.zeros(())
+        )
+    with pytest.raises(ValueError, match=r"`dt` must be positive and finite \(s\)"):
+        OBSERVER.step(OBSERVER.init(jnp.zeros(())), jnp.zeros(()), jnp.zeros(()), 0.0)
     with pytest.raises(ValueError, match="`gain` must be positive"):
         aslo.Asymptotic(few, -1.0)
     with pytest.raises(ValueError, match="`bandwidth` must be positive"):

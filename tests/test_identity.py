@@ -150,3 +150,25 @@ def test_state_affine_drift_under_least_squares():
     )
     for name in observers:
         assert jnp.abs(solution.error(name)[TS >= 0.5]).max() < 1e-9
+
+
+def test_a_rotating_frame_that_starts_at_rest():
+    """A(0) = 0 couples nothing at first; the scale of the rows must follow A."""
+
+    def speed(t):
+        return 3.0 * t
+
+    def truth(t):
+        a = 1.5 * t**2
+        return jnp.stack([jnp.cos(a), -jnp.sin(a)]) * 0.7
+
+    def relation(u, y):
+        A = u * jnp.array([[0.0, 1.0], [-1.0, 0.0]])
+        return aslo.Linear(jnp.array([1.0, 0.0]), y, jnp.zeros(2), A)
+
+    for completion in (aslo.LeastSquares(), aslo.Repeat()):
+        observer = aslo.AlgebraicObserver(relation, aslo.LowPass(4.0), completion)
+        estimate = observe(observer, speed, lambda t: truth(t)[0], SECONDS, atol=1e-16)
+        error = jnp.abs(estimate.value - jax.vmap(truth)(SECONDS)).max(axis=1)
+        assert error[SECONDS >= 0.5].max() < 1e-8
+        assert not estimate.coasting[SECONDS >= 0.5].any()

@@ -2,6 +2,8 @@
 
 import importlib.resources
 import io
+import subprocess
+import sys
 
 import equinox as eqx
 import jax
@@ -222,3 +224,43 @@ def test_vmap_over_initial_states_and_parameters(record, dtype):
     error = jnp.linalg.norm(batch.value - flux, axis=-1)[:, t > 0.03].max(axis=1)
     assert error[0] < 5e-4 and error[2] < 5e-4
     assert error[1] > 2e-3  # the wrong resistance shows
+
+
+def test_single_precision_columns_and_integers_are_taken():
+    t, u, y, _ = held_log(1e-2)
+    observer = aslo.AlgebraicObserver(
+        aslo.plants.IntegratorChain(2).relation(), aslo.LowPass(8.0)
+    )
+    single = aslo.replay(observer, t, u, np.asarray(y, np.float32)).value
+    double = aslo.replay(observer, t, u, y).value
+    np.testing.assert_allclose(single, double, atol=1e-3)
+    counts = np.arange(101)
+    pll = aslo.PhaseLockedLoop(40.0)
+    np.testing.assert_array_equal(
+        aslo.replay(pll, t, 0 * t, counts).value,
+        aslo.replay(pll, t, 0 * t, counts.astype(float)).value,
+    )
+
+
+def test_without_double_precision_time_keeps_its_digits():
+    """A fresh interpreter with JAX as it comes: a jittered log 5,000 s into a run, and the
+    default tolerances of a simulation."""
+    code = """
+import numpy as np, jax.numpy as jnp, aslo_jax as aslo
+rng = np.random.default_rng(0)
+dt = rng.uniform(0.8e-3, 1.2e-3, 800)
+t = np.concatenate([[0], np.cumsum(dt)])
+u = np.sin(9 * t)
+x2 = -0.4 + np.concatenate([[0], np.cumsum(u[:-1] * dt)])
+x1 = 0.7 + np.concatenate([[0], np.cumsum(x2[:-1] * dt + u[:-1] * dt**2 / 2)])
+plant = aslo.plants.IntegratorChain(2)
+observer = aslo.AlgebraicObserver(plant.relation(), aslo.LowPass(8.0), aslo.Repeat())
+near, far = (aslo.replay(observer, t + s, u, x1).value[:, 0] for s in (0.0, 5000.0))
+assert near.dtype == jnp.float32
+assert np.abs(near - x2)[t > 0.1].max() < 1e-4
+assert np.abs(far - x2)[t > 0.1].max() < 1e-4
+solution = aslo.simulate(plant, jnp.cos, {"ASLO": observer}, t1=2.0)
+assert np.abs(solution.error("ASLO"))[10:].max() < 1e-3
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

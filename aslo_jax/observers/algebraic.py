@@ -54,5 +54,10 @@ class AlgebraicObserver(AbstractObserver):
         if self.guard is None:
             return Estimate(x, certificate, jnp.asarray(False))
         initial = jnp.zeros_like(x) if self.initial is None else self.initial
+        if initial.shape != x.shape:
+            raise ValueError(
+                f"Argument `initial` must have the shape {x.shape} of the estimated state, "
+                f"but got {initial.shape}."
+            )
         value, coasting = self.guard(F.scope("guard"), x, certificate, terms, initial)
         return Estimate(value, certificate, coasting)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
+from .._checks import positive
 from ..realise import Advance, Flow, Pass, Start, States
 
 
@@ -94,7 +95,9 @@ class AbstractObserver(eqx.Module):
         `substeps` split the interval with interpolated y, where products of signals curve
         within it. Compile a loop of steps with `eqx.filter_jit`.
         """
-        coefficients = self.allocate(y, u).discretise(jnp.asarray(dt) / substeps)
+        positive("dt", dt, "s")
+        interval = jnp.asarray(dt) / max(substeps, 1)
+        coefficients = self.allocate(y, u).discretise(interval)
         return self.advance(state, u, y, coefficients, substeps=substeps)
 
     def advance(
@@ -108,6 +111,10 @@ class AbstractObserver(eqx.Module):
     ) -> tuple[ObserverState, Any]:
         """[`step`][] with the coefficients of the laws, `allocate(y, u).discretise(dt /
         substeps)`, already at hand."""
+        if not isinstance(substeps, int) or substeps < 1:
+            raise ValueError(
+                f"Argument `substeps` must be an integer of at least 1, but got {substeps}."
+            )
         left = Flow(state.states)
         self.equations(Pass(left), u, state.y)
         states, drives = left.states, left.drives

@@ -37,5 +37,7 @@ class PhaseLockedLoop(AbstractObserver):
             e = wrap(y - x[0])
             return jnp.stack([x[1] + 2.0 * b * e, b * b * e])
 
-        x = F.state("angle_speed", jnp.stack([y, jnp.zeros_like(y)]), rate)
+        x = F.state(
+            "angle_speed", jnp.stack([y, 0.0 * y]).astype(jnp.result_type(y, b)), rate
+        )
         return Estimate(x, jnp.ones_like(x[0]), jnp.asarray(False))
