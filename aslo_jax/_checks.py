@@ -56,3 +56,9 @@ def stable(name: str, A: Float[Array, "k k"]) -> None:
             f"Argument `{name}` must be a stable matrix (every eigenvalue with a negative "
             f"real part), but the largest real part is {largest:.6g}."
         )
+
+
+def known_start(start: str) -> None:
+    """Refuse a start that is neither the exact nor the paper's."""
+    if start not in ("exact", "paper"):
+        raise ValueError(f'Argument `start` must be "exact" or "paper", but got {start!r}.')

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from .._checks import optional_real
+from .._checks import known_start, optional_real
 from ..completions import AbstractCompletion, LeastSquares
 from ..filters import AbstractFilter
 from ..guard import Guard
@@ -41,10 +41,7 @@ class AlgebraicObserver(AbstractObserver):
     initial: Float[Array, " n"] | None = eqx.field(converter=optional_real, default=None)
 
     def __check_init__(self):
-        if self.start not in ("exact", "paper"):
-            raise ValueError(
-                f'Argument `start` must be "exact" or "paper", but got {self.start!r}.'
-            )
+        known_start(self.start)
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
         F = F.using(self.filter, self.start)

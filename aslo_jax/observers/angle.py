@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from .._checks import optional_real, real
+from .._checks import known_start, optional_real, real
 from .._small import safe_reciprocal
 from ..completions import AbstractCompletion, LeastSquares
 from ..filters import AbstractFilter
@@ -95,10 +95,7 @@ class AlgebraicMagnet(AbstractObserver):
     initial: Float[Array, " 2"] | None = eqx.field(converter=optional_real, default=None)
 
     def __check_init__(self):
-        if self.start not in ("exact", "paper"):
-            raise ValueError(
-                f'Argument `start` must be "exact" or "paper", but got {self.start!r}.'
-            )
+        known_start(self.start)
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
         F = F.using(self.filter, self.start)

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from .._checks import optional_real, positive, real
+from .._checks import known_start, optional_real, positive, real
 from ..filters import AbstractFilter, AbstractLaw
 from ..plants.pmsm import FluxRelation
 from ..realise import Pass
@@ -78,10 +78,7 @@ class FO1(AbstractObserver):
 
     def __check_init__(self):
         positive("gain", self.gain, "s/Wb^2")
-        if self.start not in ("exact", "paper"):
-            raise ValueError(
-                f'Argument `start` must be "exact" or "paper", but got {self.start!r}.'
-            )
+        known_start(self.start)
 
     def regression(
         self, F: Pass, u: Float[Array, " 2"], y: Float[Array, " 2"]

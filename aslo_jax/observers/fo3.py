@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from .._checks import optional_real, positive, real
+from .._checks import known_start, optional_real, positive, real
 from .._small import safe_reciprocal, solve_rows
 from ..filters import AbstractFilter, AbstractLaw
 from ..guard import Guard
@@ -76,10 +76,7 @@ class FO3(AbstractObserver):
 
     def __check_init__(self):
         positive("gain", self.gain, "1/s over the square of the determinant")
-        if self.start not in ("exact", "paper"):
-            raise ValueError(
-                f'Argument `start` must be "exact" or "paper", but got {self.start!r}.'
-            )
+        known_start(self.start)
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
         F = F.using(self.filter, self.start)
