@@ -4,6 +4,7 @@ from importlib.metadata import version as _version
 
 from . import (
     control as control,
+    datasheet as datasheet,
     disturbances as disturbances,
     filters as filters,
     observers as observers,
@@ -31,12 +32,14 @@ from .observers import (
     AlgebraicMagnet as AlgebraicMagnet,
     AlgebraicObserver as AlgebraicObserver,
     Asymptotic as Asymptotic,
+    BearingObserver as BearingObserver,
     Estimate as Estimate,
     ExtendedKalman as ExtendedKalman,
     ObserverState as ObserverState,
     OpenLoopIntegrator as OpenLoopIntegrator,
     PhaseLockedLoop as PhaseLockedLoop,
     ReducedLuenberger as ReducedLuenberger,
+    SelfConsistent as SelfConsistent,
     SideBySide as SideBySide,
     Staged as Staged,
     SteadyStateKalman as SteadyStateKalman,

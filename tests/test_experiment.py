@@ -137,38 +137,70 @@ def test_a_limited_current_does_not_wind_up():
     assert jnp.abs(record.x.speed - 20.0)[record.t > 0.9].max() < 0.05
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.4, -0.3, np.pi / 5])
-def test_sensorless_start_from_an_unknown_angle(angle):
-    """Forced for 1.1 s, then on the flux observer and the phase-locked loop, with the
-    load coming in over 1.5 s. The last angle is opposite to the forced one."""
-    plant = motor(lambda t: 2.8 * jnp.clip((t - 1.5) / 1.5, 0.0, 1.0))
+def sensorless_start(load, angle):
+    """A forced start, then the flux observer and the phase-locked loop, from an electrical
+    angle of `5 angle` that nobody is told."""
+    plant = motor(load)
     flux = flux_observer(plant, 30.0, guard=aslo.Guard(1e-3), initial=[0.2, 0.0])
     observer = aslo.Staged(
         flux,
         aslo.PhaseLockedLoop(1000.0),
         lambda u, y, e: (u, jnp.arctan2(*(e.value - plant.inductance * y)[::-1])),
     )
-
-    def sensorless(y, x, estimates):
-        del x
-        found = estimates["ASLO"]["second"].value
-        return MotorFeedback(y, found[0], found[1] / 5)
-
     control = FieldOriented(plant, reference, current_limit=2.4, voltage_limit=200.0)
     start = ForcedStart(control, current=2.3, speed=3.0, acceleration=5.0)
     first = plant.initial()
     magnet = 0.2086 * jnp.array([np.cos(5 * angle), np.sin(5 * angle)])
     first = eqx.tree_at(lambda x: (x.flux, x.angle), first, (magnet, jnp.asarray(angle)))
+    return plant, start, {"ASLO": observer}, first
+
+
+def sensorless(y, x, estimates):
+    del x
+    found = estimates["ASLO"]["second"].value
+    return MotorFeedback(y, found[0], found[1] / 5)
+
+
+def angle_error(run):
+    found = run.estimates["ASLO"]["second"].value
+    return jnp.abs(aslo.observers.wrap(found[:, 0] - 5 * run.x.angle))
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, -0.3, np.pi / 5])
+def test_sensorless_start_from_an_unknown_angle(angle):
+    """Forced for 1.1 s, then on the flux observer and the phase-locked loop, with the
+    load coming in over 1.5 s. The last angle is opposite to the forced one."""
+    plant, start, observers, first = sensorless_start(
+        lambda t: 2.8 * jnp.clip((t - 1.5) / 1.5, 0.0, 1.0), angle
+    )
     record = aslo.Experiment(
-        plant, start, {"ASLO": observer}, 1e-4,
-        feedback=sensorless, initial=first, plant_steps=2,
-    ).run(45_000, every=50)  # fmt: skip
-    found = record.estimates["ASLO"]["second"].value
-    error = jnp.abs(aslo.observers.wrap(found[:, 0] - 5 * record.x.angle))
+        plant, start, observers, 1e-4, feedback=sensorless, initial=first, plant_steps=2
+    ).run(45_000, every=50)
     locked = record.t > start.handover
-    assert error[locked].max() < 0.02
+    assert angle_error(record)[locked].max() < 0.02
     assert not record.estimates["ASLO"]["first"].coasting[locked].any()
     assert jnp.abs(record.x.speed - reference(record.t))[record.t > 4.0].max() < 0.1
+
+
+def test_sensorless_in_continuous_time():
+    """The same start, the load coming in over 0.3 s, everything in one solve."""
+    plant, start, observers, first = sensorless_start(
+        lambda t: 2.8 * jnp.clip((t - 1.5) / 0.3, 0.0, 1.0), 0.4
+    )
+    run = aslo.simulate(
+        plant, start, observers, t1=2.0, ts=jnp.linspace(0.0, 2.0, 401), initial=first,
+        feedback=sensorless,
+        stepsize_controller=diffrax.PIDController(rtol=1e-6, atol=1e-8),
+    )  # fmt: skip
+    locked = run.t > start.handover
+    assert angle_error(run)[locked].max() < 0.01
+    assert not run.estimates["ASLO"]["first"].coasting[locked].any()
+    assert jnp.abs(run.estimates["ASLO"]["first"].value - run.hidden)[locked].max() < 1e-5
+    # While the load rises, the speed lags by its rate over b^2 J/4 = 1.35 N m/rad.
+    error = run.x.speed - reference(run.t)
+    rising = (run.t > 1.6) & (run.t < 1.8)
+    np.testing.assert_allclose(error[rising], -(2.8 / 0.3) / 1.35, rtol=0.15)
+    assert jnp.abs(error)[run.t > 1.9].max() < 0.05
 
 
 def test_a_lag_of_the_actuator_is_integrated_with_the_plant():

@@ -1,4 +1,4 @@
-"""Controllers: open loop, and field-oriented control with and without an angle."""
+"""Controllers: open loop, of motors with an angle and without, and of bearings."""
 
 from .base import AbstractController as AbstractController, OpenLoop as OpenLoop
 from .field_oriented import (
@@ -6,4 +6,8 @@ from .field_oriented import (
     ForcedStart as ForcedStart,
     MotorFeedback as MotorFeedback,
     rotate as rotate,
+)
+from .magnetic_levitation import (
+    BearingFeedback as BearingFeedback,
+    MagneticLevitation as MagneticLevitation,
 )

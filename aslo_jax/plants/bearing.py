@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import positive, real
+from .._checks import optional_real, positive, real
 from .._small import safe_reciprocal
 from ..relations import Quadratic
 from .base import AbstractPlant
@@ -67,12 +67,17 @@ class BearingState(eqx.Module):
 class MagneticBearing(AbstractPlant):
     """One axis of a magnetic bearing, voltage fed: `psi_j' = u_j - R_j i_j`,
     `i1 = (2/k)(g - q) psi1`, `i2 = (2/k)(g + q) psi2`, `m q'' = (psi1^2 - psi2^2)/k +
-    force(t)`. Input the coil voltages (V), output the coil currents (A), hidden part
-    `(psi1, psi2, q, q')`. Unstable without a controller.
+    force(t) + support`. Input the coil voltages (V), output the coil currents (A), hidden
+    part `(psi1, psi2, q, q')`. Unstable without a controller.
 
     - `resistance` (ohm) of both coils or of each, shape `()` or `(2,)`; `gap` g (m);
       `force_constant` k = mu0 N^2 A (H m); `mass` m (kg);
-    - `force(t)`: an outer force (N) at time t (s), of which the observer knows nothing.
+    - `force(t)`: an outer force (N) at time t (s), of which the observer knows nothing;
+    - `bias`: the current (A) of both coils in the default initial state;
+    - `touchdown`: the clearance (m) of a touch-down bearing, by default none. A body that
+      is further out is held by a spring `touchdown_stiffness` (N/m) and a damper
+      `touchdown_damping` (N s/m) side by side, which push and never pull; the observer
+      knows nothing of that force either.
 
     Source: theory, section 2; Schweitzer, Maslen, "Magnetic Bearings", 2009,
     doi:10.1007/978-3-642-00497-1.
@@ -84,12 +89,19 @@ class MagneticBearing(AbstractPlant):
     mass: Float[Array, ""] = eqx.field(converter=real)
     force: Callable[[Float[Array, ""]], Float[Array, ""]] = no_load
     bias: Float[Array, ""] = eqx.field(converter=real, default=1.0)
+    touchdown: Float[Array, ""] | None = eqx.field(converter=optional_real, default=None)
+    touchdown_stiffness: Float[Array, ""] = eqx.field(converter=real, default=5e6)
+    touchdown_damping: Float[Array, ""] = eqx.field(converter=real, default=1e3)
 
     def __check_init__(self):
         positive("resistance", self.resistance, "ohm")
         positive("gap", self.gap, "m")
         positive("force_constant", self.force_constant, "H m")
         positive("mass", self.mass, "kg")
+        positive("touchdown_stiffness", self.touchdown_stiffness, "N/m")
+        positive("touchdown_damping", self.touchdown_damping, "N s/m")
+        if self.touchdown is not None:
+            positive("touchdown", self.touchdown, "m")
 
     @classmethod
     def laboratory(cls, **changes: Any) -> "MagneticBearing":
@@ -108,9 +120,19 @@ class MagneticBearing(AbstractPlant):
         return BearingState(jnp.stack([flux, flux]), zero, zero)
 
     def vector_field(self, t, x, u):
-        acceleration = self.flux_relation().acceleration(x.flux) + self.force(t) / self.mass
+        outer = self.force(t) + self.support(x)
+        acceleration = self.flux_relation().acceleration(x.flux) + outer / self.mass
         rate = u - self.resistance * self.output(x)
         return BearingState(rate, x.velocity, acceleration)
+
+    def support(self, x: BearingState) -> Float[Array, ""]:
+        """The force (N) of the touch-down bearing, zero within its clearance."""
+        if self.touchdown is None:
+            return jnp.zeros_like(x.position)
+        side = jnp.sign(x.position)
+        depth = jnp.abs(x.position) - self.touchdown
+        push = self.touchdown_stiffness * depth + self.touchdown_damping * side * x.velocity
+        return jnp.where(depth > 0, -side * jnp.maximum(push, 0.0), 0.0)
 
     def output(self, x):
         gaps = jnp.stack([self.gap - x.position, self.gap + x.position])
