@@ -1,23 +1,26 @@
 """Every figure, table and claim of the paper, as an experiment that can be run again."""
 
+import importlib
 import pathlib
+import tempfile
 from collections.abc import Callable
 
 import jax
 
-SECTIONS = (2,)
+SECTIONS = (2, 3)
 
 
 def run(section: int, out: pathlib.Path) -> None:
     """Run the experiments of a `section` of the paper and write them to the folder `out`.
 
     Writes every figure as PNG and its data as CSV, the claims of the section with the
-    number measured for each and the verdict that follows (`claims.csv`, `claims.md`), and
-    `index.md`, which lists the files; prints the claims. The files are the same in every
-    run on one machine. Nothing is written before everything is computed.
+    number measured for each and the verdict that follows (`claims.csv`, `claims.md`),
+    tables, and `index.md`, which lists the files; prints the claims. The files are the same
+    in every run on one machine. No file is written before everything is computed.
 
     **Raises:** `ValueError` for a section that has no experiments, for an `out` that is a
-    file, or in single precision; `ImportError` without matplotlib or SciPy.
+    file, or in single precision; `OSError` for one that cannot be written to;
+    `ImportError` without matplotlib or SciPy.
     """
     if section not in SECTIONS:
         raise ValueError(
@@ -31,8 +34,11 @@ def run(section: int, out: pathlib.Path) -> None:
             "The claims of the paper are measured to 1e-10, but JAX is in single "
             'precision; call `jax.config.update("jax_enable_x64", True)` first.'
         )
-    files, summary = _experiments(section)()
+    report = _experiments(section)
     out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=out):  # a folder that cannot be written to is found now
+        pass
+    files, summary = report()
     for name, content in files.items():
         partial = out / f".{name}.partial"
         partial.write_bytes(content)
@@ -44,7 +50,4 @@ def _experiments(section: int) -> Callable[[], tuple[dict[str, bytes], str]]:
     from .drawing import require_matplotlib
 
     require_matplotlib()
-    assert section == 2
-    from .section2 import report
-
-    return report
+    return importlib.import_module(f".section{section}", __package__).report
