@@ -35,6 +35,8 @@ from .observers import (
     BearingObserver as BearingObserver,
     Estimate as Estimate,
     ExtendedKalman as ExtendedKalman,
+    FilteredDerivative as FilteredDerivative,
+    HighGain as HighGain,
     ObserverState as ObserverState,
     OpenLoopIntegrator as OpenLoopIntegrator,
     PhaseLockedLoop as PhaseLockedLoop,
@@ -43,6 +45,10 @@ from .observers import (
     SideBySide as SideBySide,
     Staged as Staged,
     SteadyStateKalman as SteadyStateKalman,
+    SuperTwisting as SuperTwisting,
+    Unwrapped as Unwrapped,
+    VelocityObserver as VelocityObserver,
+    velocity_observer as velocity_observer,
 )
 from .realise import Pass as Pass
 from .relations import (
@@ -55,5 +61,10 @@ from .relations import (
 )
 from .replay import replay as replay
 from .simulate import Simulation as Simulation, simulate as simulate
+from .structure import (
+    Structure as Structure,
+    StructureError as StructureError,
+    structure_of as structure_of,
+)
 
 __version__ = _version("aslo_jax")

@@ -62,3 +62,14 @@ def known_start(start: str) -> None:
     """Refuse a start that is neither the exact nor the paper's."""
     if start not in ("exact", "paper"):
         raise ValueError(f'Argument `start` must be "exact" or "paper", but got {start!r}.')
+
+
+def nonnegative(name: str, x: Array | np.ndarray | float) -> None:
+    """Refuse a concrete `x` with an entry that is negative or not finite."""
+    if not isinstance(x, jax.Array | np.ndarray | float | int) or not is_concrete(x):
+        return
+    value = np.asarray(x)
+    if not (np.isfinite(value).all() and (value >= 0).all()):
+        raise ValueError(
+            f"Argument `{name}` must be finite and not negative, but got {value.tolist()}."
+        )

@@ -109,6 +109,45 @@ class ParasiticLag(AbstractDisturbance):
         return np.empty(0)
 
 
+class Encoder(AbstractDisturbance):
+    """Rounds each entry of a signal of shape `(p,)` to a multiple of `resolution`, as an
+    encoder does, and reports angles within one turn, in [0, 2 pi).
+
+    - `resolution`: in the units of each entry, shape `(p,)`; for an angle `2 pi / 2**bits`;
+    - `angles`: for each entry, whether it is an angle (rad); empty where none is.
+
+    For sampled loops: in continuous time its jumps come at instants that no solver knows.
+    """
+
+    resolution: Float[Array, " p"] = eqx.field(converter=real)
+    angles: tuple[bool, ...] = eqx.field(static=True, default=())
+
+    def __check_init__(self):
+        positive("resolution", self.resolution)
+
+    def init(self, signal):
+        del signal
+
+    def vector_field(self, t, state, signal):
+        del t, state, signal
+
+    def __call__(self, t, state, signal):
+        del t, state
+        counts = jnp.round(signal / self.resolution)
+        if not self.angles:
+            return counts * self.resolution
+        turn = jnp.round(2.0 * jnp.pi / self.resolution)
+        within = jnp.where(jnp.asarray(self.angles), counts % turn, counts)
+        return within * self.resolution
+
+    @property
+    def has_jumps(self):
+        return False
+
+    def jumps(self, t0, t1):
+        return np.empty(0)
+
+
 def held_index(t: Float[Array, ""], interval: float) -> Array:
     """The k of `k interval <= t < (k + 1) interval`, exact in floating point."""
     k = jnp.floor(t / interval)

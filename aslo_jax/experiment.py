@@ -43,8 +43,9 @@ class Experiment(eqx.Module):
     """A plant under a sampled controller with observers beside it.
 
     - `interval`: between samples (s); the input is held in between;
-    - `feedback(y, x, estimates)`: what the controller is fed; y by default. With one, u
-      must have the shape of y, since estimates are needed before there is an input;
+    - `feedback(y, x, estimates)`: what the controller is fed; y by default. Estimates are
+      then needed before there is an input, so u must have the shape of
+      `plant.no_input(y)`, by default that of y;
     - `actuator`: between the controller and the plant, unseen by the observers; `sensor`:
       between the plant and everyone; `input_sensor`: between the controller and the
       observers. The last two act at the samples;
@@ -87,7 +88,7 @@ class Experiment(eqx.Module):
         y = self._measure(t, x)
         # No estimate depends on u at the instant: a controller can be fed the estimates
         # before there is an input, of which only the shape is needed.
-        u = jax.tree.map(jnp.zeros_like, y)
+        u = self.plant.no_input(y)
         blind = {} if self.feedback is None else self._first(t, y, u)[1]
         fed = self._fed(y, x, blind)
         state = self.controller.init(fed)

@@ -241,8 +241,11 @@ class Pass:
         """`F[1]`, equal to one with the paper's start."""
         return self.output(self.settling(name)) + self.filter.feedthrough(1.0)
 
-    def p(self, s: Array, name: str | None = None) -> Array:
-        """`pF[s]`, the filtered derivative; the exact start has F settled at s(0)."""
+    def p(
+        self, s: Array, name: str | None = None, *, settled: bool | None = None
+    ) -> Array:
+        """`pF[s]`, the filtered derivative, F starting `settled` at s(0) or from zero: by
+        default settled with the exact start."""
         if not self.filter.strictly_proper:
             raise ValueError(
                 "Argument `filter` must be strictly proper for a rate relation, since pF "
@@ -250,5 +253,6 @@ class Pass:
                 "`LinearFilter` with `D=None`."
             )
         v = self.inject(s)
-        start = self.filter.equilibrium(s) if self.exact else jnp.zeros_like(v)
+        settled = self.exact if settled is None else settled
+        start = self.filter.equilibrium(s) if settled else jnp.zeros_like(v)
         return self.output(self.filter.flow(self.hidden(v, name, start), v))

@@ -80,7 +80,10 @@ class Rate(AbstractTerms):
         drive = contract(X, self.z)
         if self.d is not None:
             drive = drive + F.inject(self.d)
-        b = F.p(self.s, "s") + F.output(F.hidden(drive, "b"))
+        # With the paper's start a varying c has F[c] from zero; were pF[s] from zero too,
+        # the estimate would begin as s(0)/t.
+        settled = F.exact or not self.constant
+        b = F.p(self.s, "s", settled=settled) + F.output(F.hidden(drive, "b"))
         scale = _size(F, self.c, self.A, self.constant)
         return Row(F.output(X), b, self.z, self.A, scale, self.constant)
 

@@ -56,7 +56,7 @@ class _Loop(eqx.Module):
         if self.feedback is None:
             return y
         # No estimate depends on u at the instant, so any of its shape will do.
-        u = jax.tree.map(jnp.zeros_like, y)
+        u = self.plant.no_input(y)
         estimates = {
             name: observer.estimate(t, ObserverState(observers[name], y), u, y)
             for name, observer in self.observers.items()
@@ -77,7 +77,8 @@ class _Loop(eqx.Module):
         sensor = _init(self.sensor, measured)
         y = _through(self.sensor, t0, sensor, measured)
         blind = {} if self.feedback is None else self.observers
-        fed = self.fed(t0, x, y, {k: o.init(y).states for k, o in blind.items()})
+        u = self.plant.no_input(y)
+        fed = self.fed(t0, x, y, {k: o.init(y, u).states for k, o in blind.items()})
         controller = self.controller.init(fed)
         command = jax.tree.map(jnp.asarray, self.controller(t0, controller, fed))
         actuator = _init(self.actuator, command)
@@ -167,8 +168,9 @@ def simulate(
     - `actuator`: between the controller's output and the plant, unseen by the observers;
       `sensor`: between the plant's output and everyone; `input_sensor`: between the
       controller's output and the observers;
-    - `feedback(y, x, estimates)`: what the controller is fed, by default y. Then u must
-      have the shape of y, since estimates are needed before there is an input;
+    - `feedback(y, x, estimates)`: what the controller is fed, by default y. Estimates are
+      then needed before there is an input, so u must have the shape of
+      `plant.no_input(y)`, by default that of y;
     - `solver`, `stepsize_controller`, `dt0`, `adjoint`, `max_steps`: as in
       `diffrax.diffeqsolve`; by default Tsit5 with `rtol=1e-8`, `atol=1e-10`
       (1e-5 and 1e-7 where JAX computes in single precision). Pass

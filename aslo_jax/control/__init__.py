@@ -1,4 +1,4 @@
-"""Controllers: open loop, of motors with an angle and without, and of bearings."""
+"""Controllers: open loop, of motors with an angle and without, bearings, mechanisms."""
 
 from .base import AbstractController as AbstractController, OpenLoop as OpenLoop
 from .field_oriented import (
@@ -10,4 +10,9 @@ from .field_oriented import (
 from .magnetic_levitation import (
     BearingFeedback as BearingFeedback,
     MagneticLevitation as MagneticLevitation,
+)
+from .tracking import (
+    BallBeamTracking as BallBeamTracking,
+    MechanicalFeedback as MechanicalFeedback,
+    Tracking as Tracking,
 )

@@ -16,10 +16,16 @@ from .base import (
 )
 from .bearing import BearingObserver as BearingObserver
 from .compose import SideBySide as SideBySide, Staged as Staged
+from .differentiators import (
+    FilteredDerivative as FilteredDerivative,
+    HighGain as HighGain,
+    SuperTwisting as SuperTwisting,
+)
 from .extended_kalman import (
     AbstractModel as AbstractModel,
     Belief as Belief,
     ExtendedKalman as ExtendedKalman,
+    MechanicalModel as MechanicalModel,
     PMSMModel as PMSMModel,
 )
 from .fo1 import FO1 as FO1
@@ -30,3 +36,11 @@ from .luenberger import ReducedLuenberger as ReducedLuenberger
 from .open_loop import OpenLoopIntegrator as OpenLoopIntegrator
 from .pll import PhaseLockedLoop as PhaseLockedLoop, wrap as wrap
 from .self_consistent import SelfConsistent as SelfConsistent
+from .unwrapped import Unwrapped as Unwrapped
+from .velocity import (
+    CoordinateVelocity as CoordinateVelocity,
+    MomentumRelation as MomentumRelation,
+    Velocities as Velocities,
+    VelocityObserver as VelocityObserver,
+    velocity_observer as velocity_observer,
+)

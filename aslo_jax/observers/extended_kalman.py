@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PyTree
 from .._checks import is_concrete, positive, real
 from .._small import safe_reciprocal, solve_definite
 from ..filters import AbstractLaw
-from ..plants.pmsm import FluxRelation
+from ..plants import AbstractMechanicalSystem, FluxRelation
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
 
@@ -53,6 +53,26 @@ class PMSMModel(AbstractModel):
 
     def select(self, x):
         return x[:2]
+
+
+class MechanicalModel(AbstractModel):
+    """A mechanical system: `x = (q, q')`, input the generalised forces, shape `(m,)`,
+    output the positions, estimate the velocities, each of shape `(n,)`.
+
+    Source: paper, eq. (EL).
+    """
+
+    system: AbstractMechanicalSystem
+
+    def drift(self, x, u):
+        q, velocity = jnp.split(x, 2)
+        return jnp.concatenate([velocity, self.system.acceleration(q, velocity, u)])
+
+    def output(self, x):
+        return jnp.split(x, 2)[0]
+
+    def select(self, x):
+        return jnp.split(x, 2)[1]
 
 
 class Belief(NamedTuple):
@@ -177,6 +197,35 @@ class ExtendedKalman(AbstractObserver):
             current * jnp.eye(2, dtype=current.dtype),
             initial,
             jnp.diag(spread**2),
+        )
+
+    @classmethod
+    def of_mechanical(
+        cls,
+        system: AbstractMechanicalSystem,
+        acceleration: Float[Array, "*n"] | float,
+        position: Float[Array, "*n"] | float,
+        velocity_deviation: Float[Array, "*n"] | float = 10.0,
+        *,
+        initial: Float[Array, " n"],
+    ) -> "ExtendedKalman":
+        """For the velocities of a mechanical system ([`MechanicalModel`][]), from the
+        two-sided intensities of the noise on each `acceleration` (m^2/s^3 or rad^2/s^3) and
+        `position` (m^2 s or rad^2 s), shape `()` or `(n,)`. The first belief is the
+        position `initial`, known to a thousandth of `velocity_deviation` times a second, at
+        rest with `velocity_deviation` (m/s or rad/s)."""
+        initial = real(initial)
+        acceleration, position = real(acceleration), real(position)
+        positive("acceleration", acceleration)
+        positive("position", position)
+        whole = lambda x: jnp.broadcast_to(real(x), initial.shape)
+        zero, spread = jnp.zeros_like(initial), whole(velocity_deviation)
+        return cls(
+            MechanicalModel(system),
+            jnp.diag(jnp.concatenate([zero, whole(acceleration)])),
+            jnp.diag(whole(position)),
+            jnp.concatenate([initial, zero]),
+            jnp.diag(jnp.concatenate([1e-3 * spread, spread]) ** 2),
         )
 
     def belief(self, F: Pass, u: PyTree, y: PyTree) -> Belief:

@@ -13,6 +13,18 @@ from .interior_pmsm import (
     SelfConsistentFluxRelation as SelfConsistentFluxRelation,
 )
 from .machine import AbstractMachine as AbstractMachine, MachineState as MachineState
+from .mechanical import (
+    AbstractMechanicalSystem as AbstractMechanicalSystem,
+    MechanicalState as MechanicalState,
+    MechanicalSystem as MechanicalSystem,
+)
+from .mechanisms import (
+    BallBeam as BallBeam,
+    CartOnArm as CartOnArm,
+    InertiaWheelPendulum as InertiaWheelPendulum,
+    RoboticLeg as RoboticLeg,
+    VariableLengthPendulum as VariableLengthPendulum,
+)
 from .pmsm import PMSM as PMSM, FluxRelation as FluxRelation
 from .stepper import Stepper as Stepper
 from .wrim import WRIM as WRIM, WindingFluxRelation as WindingFluxRelation

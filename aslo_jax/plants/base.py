@@ -3,6 +3,8 @@
 import abc
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 
@@ -27,3 +29,8 @@ class AbstractPlant(eqx.Module):
     @abc.abstractmethod
     def hidden(self, x: PyTree) -> Float[Array, " n"]:
         """The unmeasured state that an observer estimates, shape `(n,)`."""
+
+    def no_input(self, y: PyTree) -> PyTree:
+        """The input zero, beside the measurement y: of the shape of y, where a plant does
+        not say otherwise."""
+        return jax.tree.map(jnp.zeros_like, y)

@@ -1,0 +1,39 @@
+"""Angles from encoders, which wrap, as angles that do not."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, PyTree
+
+from ..realise import Pass
+from .base import AbstractObserver
+from .pll import wrap
+
+
+class Unwrapped(AbstractObserver):
+    """An observer of `y`, shape `(p,)`, whose marked entries are angles (rad) that may jump
+    by full turns between samples: they are unwrapped on the way in.
+
+    - `angles`: for each entry, whether it is an angle.
+
+    An angle must turn by less than pi from sample to sample. In continuous time angles are
+    taken as they are, since a jump is no matter of sampling there.
+
+    Source: theory, section 5.
+    """
+
+    observer: AbstractObserver
+    angles: tuple[bool, ...] = eqx.field(static=True)
+
+    def equations(self, F: Pass, u: PyTree, y: PyTree):
+        return self.observer.equations(F, u, y)
+
+    def advance(self, state, u, y, coefficients, *, substeps=1):
+        y = _continued(state.y, y, jnp.asarray(self.angles))
+        return self.observer.advance(state, u, y, coefficients, substeps=substeps)
+
+
+def _continued(
+    before: Float[Array, " p"], y: Float[Array, " p"], angles: Bool[Array, " p"]
+) -> Float[Array, " p"]:
+    """The y nearest to `before` that is the same angle."""
+    return jnp.where(angles, before + wrap(y - before), y)
