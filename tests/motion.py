@@ -78,6 +78,73 @@ class Prescribed(eqx.Module):
         return self._voltage((self.flux(t1) - self.flux(t0)) / (t1 - t0), current)
 
 
+class PrescribedBearing(eqx.Module):
+    """A motion q(t) with a common part of the fluxes that varies: the fluxes that it takes,
+    and so currents and voltages, in closed form. `clock(t)` bends time."""
+
+    bearing: aslo.plants.MagneticBearing
+    clock: Callable = lambda t: t
+
+    def position(self, t):
+        s = self.clock(t)
+        return 1e-4 * jnp.sin(40 * s + 0.4) + 5e-5 * jnp.cos(90 * s)
+
+    def velocity(self, t):
+        return jax.jvp(self.position, (t,), (jnp.ones_like(t),))[1]
+
+    def flux(self, t):
+        acceleration = jax.jvp(self.velocity, (t,), (jnp.ones_like(t),))[1]
+        unequal = self.bearing.force_constant * self.bearing.mass * acceleration
+        common = (8e-3) ** 2 * (1 + 0.3 * jnp.sin(60 * self.clock(t)))
+        return jnp.sqrt(common + jnp.stack([0.5, -0.5]) * unequal)
+
+    def state(self, t):
+        return aslo.plants.BearingState(self.flux(t), self.position(t), self.velocity(t))
+
+    def current(self, t):
+        return self.bearing.output(self.state(t))
+
+    def voltage(self, t):
+        rate = jax.jvp(self.flux, (t,), (jnp.ones_like(t),))[1]
+        return rate + self.bearing.resistance * self.current(t)
+
+    def mean_voltage(self, t0, t1):
+        """As for [`PrescribedPMSM`][]."""
+        current = 0.5 * (self.current(t0) + self.current(t1))
+        rate = (self.flux(t1) - self.flux(t0)) / (t1 - t0)
+        return rate + self.bearing.resistance * current
+
+    def truth(self, t):
+        return self.bearing.hidden(self.state(t))
+
+
+class PrescribedMechanism(eqx.Module):
+    """A mechanical system whose coordinates are given functions of time, shape `(n,)`, that
+    its inputs can bring about: these by inverse dynamics."""
+
+    system: aslo.plants.AbstractMechanicalSystem
+    position: Callable
+
+    def velocity(self, t):
+        return jax.jvp(self.position, (t,), (jnp.ones_like(t),))[1]
+
+    def acceleration(self, t):
+        return jax.jvp(self.velocity, (t,), (jnp.ones_like(t),))[1]
+
+    def force(self, t):
+        """The generalised forces u: `G u` is what the acceleration lacks without them."""
+        q, v = self.position(t), self.velocity(t)
+        free = self.system.acceleration(q, v, self.system.no_input(q))
+        lacking = self.system.inertia(q) @ (self.acceleration(t) - free)
+        return jnp.linalg.lstsq(self.system.input_matrix(q), lacking)[0]
+
+    def mean_force(self, t0, t1):
+        """The mean over an interval, by Gauss's rule of order 6."""
+        middle, half = 0.5 * (t0 + t1), 0.5 * (t1 - t0) * 0.6**0.5
+        u = [self.force(middle + side * half) for side in (-1.0, 0.0, 1.0)]
+        return (5.0 * u[0] + 8.0 * u[1] + 5.0 * u[2]) / 18.0
+
+
 def observe(
     observer: aslo.AbstractObserver,
     u: Callable,

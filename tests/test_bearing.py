@@ -1,7 +1,5 @@
 """The magnetic bearing: its physics, and fluxes, position and velocity without a sensor."""
 
-from collections.abc import Callable
-
 import diffrax
 import equinox as eqx
 import jax
@@ -9,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
-from motion import observe
+from motion import PrescribedBearing, observe
 
 import aslo_jax as aslo
 from aslo_jax.observers import BearingObserver
@@ -20,43 +18,7 @@ K = float(BEARING.force_constant)
 GUARD = aslo.Guard()
 
 
-class Motion(eqx.Module):
-    """A motion q(t) with a common part of the fluxes that varies: the fluxes that it takes,
-    and so currents and voltages, in closed form. `clock(t)` bends time."""
-
-    clock: Callable = lambda t: t
-
-    def position(self, t):
-        s = self.clock(t)
-        return 1e-4 * jnp.sin(40 * s + 0.4) + 5e-5 * jnp.cos(90 * s)
-
-    def velocity(self, t):
-        return jax.jvp(self.position, (t,), (jnp.ones_like(t),))[1]
-
-    def flux(self, t):
-        force = BEARING.mass * jax.jvp(self.velocity, (t,), (jnp.ones_like(t),))[1]
-        common = (8e-3) ** 2 * (1 + 0.3 * jnp.sin(60 * self.clock(t)))
-        return jnp.sqrt(common + jnp.stack([0.5, -0.5]) * K * force)
-
-    def state(self, t):
-        return BearingState(self.flux(t), self.position(t), self.velocity(t))
-
-    def current(self, t):
-        return BEARING.output(self.state(t))
-
-    def voltage(self, t):
-        rate = jax.jvp(self.flux, (t,), (jnp.ones_like(t),))[1]
-        return rate + BEARING.resistance * self.current(t)
-
-    def mean_voltage(self, t0, t1):
-        current = 0.5 * (self.current(t0) + self.current(t1))
-        return (self.flux(t1) - self.flux(t0)) / (t1 - t0) + BEARING.resistance * current
-
-    def truth(self, t):
-        return BEARING.hidden(self.state(t))
-
-
-MOTION = Motion()
+MOTION = PrescribedBearing(BEARING)
 
 
 def observer(flux_guard=GUARD, guard=GUARD):
@@ -142,6 +104,37 @@ def test_against_scipy():
     assert error[-1].max() < 1e-6
 
 
+def test_a_touch_down_bearing_pushes_and_never_pulls():
+    """A spring and a damper side by side: a dropped body falls free, bounces, and comes to
+    rest at the depth that the spring needs."""
+    clearance, weight = 3e-4, 9.81
+    bearing = MagneticBearing.laboratory(
+        force=lambda t: -weight + 0 * t, bias=1e-9, touchdown=clearance
+    )
+    stiffness, damping = bearing.touchdown_stiffness, bearing.touchdown_damping
+
+    def support(q, v):
+        state = BearingState(jnp.zeros(2), jnp.asarray(q), jnp.asarray(v))
+        return bearing.support(state)
+
+    assert support(2.9e-4, 1.0) == 0.0 == support(-2.9e-4, -1.0)
+    np.testing.assert_allclose(support(3.1e-4, 2e-2), -1e-5 * stiffness - 2e-2 * damping)
+    np.testing.assert_allclose(support(-3.2e-4, -1e-2), 2e-5 * stiffness + 1e-2 * damping)
+    assert support(3.1e-4, -1.0) == 0.0  # it leaves faster than the spring follows
+    ts = jnp.linspace(0.0, 0.06, 601)
+    run = aslo.simulate(
+        bearing, lambda t: jnp.zeros(2), {}, t1=0.06, ts=ts, max_steps=20_000
+    )
+    fall = np.sqrt(2 * clearance / weight)
+    before = ts < fall
+    np.testing.assert_allclose(
+        run.x.position[before], -weight * ts[before] ** 2 / 2, atol=1e-9
+    )
+    assert run.x.velocity.max() > 1e-2  # it bounces
+    rest = -clearance - weight / stiffness
+    np.testing.assert_allclose(run.x.position[-1], rest, rtol=1e-6)
+
+
 def test_everything_from_the_currents():
     ts = jnp.concatenate([jnp.array([0.02, 0.03]), jnp.linspace(0.05, 0.5, 19)])
     estimate = observe(observer(), MOTION.voltage, MOTION.current, ts)
@@ -185,7 +178,7 @@ def pause(t):
 
 
 def test_at_rest_it_coasts_and_comes_back():
-    motion = Motion(pause)
+    motion = PrescribedBearing(BEARING, pause)
     t, u, y, truth = log(1e-4, 1.0, motion)
     guarded = observer(aslo.Guard(1e-5), aslo.Guard(1e-4))
     estimate = aslo.replay(guarded, t, u, y)
@@ -225,3 +218,5 @@ def test_what_does_not_fit_is_refused():
         BearingObserver(flux, aslo.LowPass(5.0))
     with pytest.raises(ValueError, match="`flux` must have a guard, but it has none"):
         observer(flux_guard=None)
+    with pytest.raises(ValueError, match=r"`touchdown` must be positive and finite \(m\)"):
+        MagneticBearing.laboratory(touchdown=0.0)

@@ -9,7 +9,10 @@ from nbclient import NotebookClient
 NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
 
 
-@pytest.mark.parametrize(("name", "figures"), [("quickstart", 2)])
+FIGURES = {"machines": 4, "mechanical": 5, "quickstart": 2}
+
+
+@pytest.mark.parametrize(("name", "figures"), FIGURES.items())
 def test_notebook(name, figures):
     notebook = nbformat.read(NOTEBOOKS / f"{name}.ipynb", as_version=4)
     assert not any(cell.get("outputs") for cell in notebook.cells), "saved with outputs"
@@ -21,4 +24,4 @@ def test_notebook(name, figures):
 
 
 def test_every_notebook_is_tested():
-    assert {path.stem for path in NOTEBOOKS.glob("*.ipynb")} == {"quickstart"}
+    assert {path.stem for path in NOTEBOOKS.glob("*.ipynb")} == FIGURES.keys()
