@@ -1,16 +1,14 @@
 """Reading and writing recorded logs: CSV, Parquet and NPZ.
 
-A log has the columns `t` (s), `u_alpha`, `u_beta` (V) and `i_alpha`, `i_beta` (A), and may
-have truth columns for scoring: `flux_alpha`, `flux_beta` (Wb), `theta_electrical` (rad),
-`omega_mechanical` (rad/s). `i[k]` is sampled at `t[k]`; `u[k]` is the mean voltage over
+A log has the column `t` (s), inputs, outputs, and may have truth columns for scoring; which
+ones is a value, [`Signals`][]. `y[k]` is sampled at `t[k]`; `u[k]` is the mean input over
 `[t[k], t[k+1])`. A log that cannot be used is refused with row, column and remedy.
 """
 
 import dataclasses
 import difflib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -18,10 +16,46 @@ from jaxtyping import Float
 from ._extras import require
 from ._log_files import READERS, Columns, LogError as LogError, Where
 
-SIGNALS = ("t", "u_alpha", "u_beta", "i_alpha", "i_beta")
-TRUTH = ("flux_alpha", "flux_beta", "theta_electrical", "omega_mechanical")
 SUFFIXES = tuple(READERS)
 GAP_IN_MEDIANS = 10.0  # the default of `max_gap`, in median intervals
+
+
+@dataclasses.dataclass(frozen=True)
+class Signals:
+    """The columns of a log beside `t` (s), in SI units; by default those of a motor in the
+    stationary amplitude-invariant frame, voltages (V) and currents (A) in, fluxes (Wb),
+    angle (rad) and speed (rad/s) for scoring.
+
+    - `inputs`, `outputs`: those of u and of y, in order;
+    - `optional`: further inputs, all or none of them;
+    - `truth`: for scoring only, any of them;
+    - `note`: frame and sign of these, in words.
+    """
+
+    inputs: tuple[str, ...] = ("u_alpha", "u_beta")
+    outputs: tuple[str, ...] = ("i_alpha", "i_beta")
+    optional: tuple[str, ...] = ()
+    truth: tuple[str, ...] = (
+        "flux_alpha",
+        "flux_beta",
+        "theta_electrical",
+        "omega_electrical",
+        "omega_mechanical",
+    )
+    note: str = "stationary frame, amplitude-invariant"
+
+    @property
+    def required(self) -> tuple[str, ...]:
+        """What every log must have, `t` first."""
+        return ("t", *self.inputs, *self.outputs)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Every column that may be read."""
+        return (*self.required, *self.optional, *self.truth)
+
+
+MOTOR = Signals()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,19 +63,21 @@ class Log:
     """A recorded run of `N` rows.
 
     - `t`: sampling instants (s), shape `(N,)`, strictly increasing;
-    - `u`: mean stator voltage over `[t[k], t[k+1])` (V), shape `(N, 2)`;
-    - `y`: stator current at `t[k]` (A), shape `(N, 2)`;
+    - `u`: mean inputs over `[t[k], t[k+1])`, shape `(N, m)`, the optional ones last where
+      the file has them; for a motor the stator voltage (V), m = 2;
+    - `y`: outputs at `t[k]`, shape `(N, n)`; for a motor the stator current (A), n = 2;
     - `truth`: the truth columns that the file has, each of shape `(N,)`.
     """
 
     t: Float[np.ndarray, " N"]
-    u: Float[np.ndarray, "N 2"]
-    y: Float[np.ndarray, "N 2"]
+    u: Float[np.ndarray, "N m"]
+    y: Float[np.ndarray, "N n"]
     truth: Columns
 
 
 def read_log(
     path: Path | str,
+    signals: Signals = MOTOR,
     *,
     columns: Mapping[str, str] | None = None,
     truth: bool = True,
@@ -49,8 +85,8 @@ def read_log(
 ) -> Log:
     """Read the log `path`, a .csv, .parquet or .npz file.
 
-    - `columns`: what the file calls a column, `{"u_alpha": "Ualpha"}`, where that differs
-      from the names above;
+    - `signals`: the columns to read, by default those of a motor;
+    - `columns`: what the file calls a column, `{"u_alpha": "Ualpha"}`, where that differs;
     - `truth`: whether to read the truth columns;
     - `max_gap`: the longest interval allowed (s), by default ten times the median one.
 
@@ -62,12 +98,18 @@ def read_log(
     ambiguous or of the wrong shape. `OSError` where the file cannot be opened.
     """
     path = Path(path)
-    wanted = (*SIGNALS, *TRUTH) if truth else SIGNALS
-    names = {name: name for name in wanted} | _checked_mapping(columns or {})
-    names = {name: names[name] for name in wanted}
+    if max_gap is not None and not max_gap > 0:
+        raise LogError(
+            "Argument `max_gap` (option --max-gap) must be positive (s), but got "
+            f"{max_gap}."
+        )
+    mapped = _checked_mapping(columns or {}, signals)
+    if not truth:
+        signals = dataclasses.replace(signals, truth=())
+    names = {name: mapped.get(name, name) for name in signals.names}
 
     def select(available: list[str]) -> dict[str, str]:
-        return _select(path, names, columns or {}, available)
+        return _select(path, signals, names, mapped, available)
 
     if not path.exists():
         raise FileNotFoundError(f"{path} does not exist.")
@@ -76,14 +118,20 @@ def read_log(
     data, where = READERS[check_suffix(path).suffix.lower()](path, select)
     labels = {name: names[name] for name in data}
     _check_lengths(path, data, labels)
-    _check_finite(path, data, labels, where)
+    _check_finite(path, data, labels, where, signals.truth)
     _check_time(path, data["t"], labels["t"], where, max_gap)
+    inputs = [*signals.inputs, *(name for name in signals.optional if name in data)]
     return Log(
         t=data["t"],
-        u=np.stack([data["u_alpha"], data["u_beta"]], axis=1),
-        y=np.stack([data["i_alpha"], data["i_beta"]], axis=1),
-        truth={name: data[name] for name in TRUTH if name in data},
+        u=_stacked(data, inputs),
+        y=_stacked(data, signals.outputs),
+        truth={name: data[name] for name in signals.truth if name in data},
     )
+
+
+def _stacked(data: Columns, names: Iterable[str]) -> Float[np.ndarray, "N n"]:
+    columns = [data[name] for name in names]
+    return np.stack(columns, axis=1) if columns else np.zeros((data["t"].size, 0))
 
 
 def write_table(path: Path | str, columns: Mapping[str, np.ndarray]) -> None:
@@ -117,25 +165,29 @@ def check_suffix(path: Path | str) -> Path:
     return path
 
 
-def _checked_mapping(columns: Mapping[str, str]) -> dict[str, str]:
-    known = (*SIGNALS, *TRUTH)
+def _checked_mapping(columns: Mapping[str, str], signals: Signals) -> dict[str, str]:
     for name in columns:
-        if name not in known:
-            close = _closest(name, known)
-            hint = f"; did you mean `{close}`?" if close else ""
+        if name not in signals.names:
+            close = _closest(name, signals.names)
+            hint = f"; did you mean `{close[0]}`?" if close else ""
             raise LogError(
                 f"Argument `columns` (option --column) must name one of "
-                f"{', '.join(known)}, but got `{name}`{hint}"
+                f"{', '.join(signals.names)}, but got `{name}`{hint}"
             )
     return dict(columns)
 
 
 def _select(
-    path: Path, names: Mapping[str, str], mapped: Mapping[str, str], available: list[str]
+    path: Path,
+    signals: Signals,
+    names: Mapping[str, str],
+    mapped: Mapping[str, str],
+    available: list[str],
 ) -> dict[str, str]:
-    """The columns to read, by our names: those required and the truth that is there."""
+    """The columns to read, by our names: those required, and of the others those there."""
     chosen = {}
     lacking = []
+    some = any(names[name] in available for name in signals.optional)
     for name, actual in names.items():
         count = available.count(actual)
         if count > 1:
@@ -144,12 +196,13 @@ def _select(
                 f"{path} has {count} columns called `{actual}` (columns "
                 f"{', '.join(places)}); rename all but one."
             )
+        needed = name in signals.required or name in mapped
         if count == 1:
             chosen[name] = actual
-        elif name in SIGNALS or name in mapped:
+        elif needed or (some and name in signals.optional):
             lacking.append(name)
     if lacking:
-        _refuse_missing(path, lacking, names, available)
+        _refuse_missing(path, lacking, signals, names, mapped, available)
     sources = list(chosen.values())
     for name, actual in chosen.items():
         if sources.count(actual) > 1:
@@ -163,26 +216,37 @@ def _select(
 
 
 def _refuse_missing(
-    path: Path, lacking: list[str], names: Mapping[str, str], available: list[str]
+    path: Path,
+    lacking: list[str],
+    signals: Signals,
+    names: Mapping[str, str],
+    mapped: Mapping[str, str],
+    available: list[str],
 ) -> None:
     if available and all(_is_number(name) for name in available):
         raise LogError(
             f"The first line of {path} holds numbers, but it must name the columns; add a "
-            f"header line such as {','.join(SIGNALS)}."
+            f"header line such as {','.join(signals.required)}."
         )
     free = [name for name in available if name not in names.values()]
     hints = []
     for name in lacking:
-        close = _closest(name, free) or _closest(names[name], free)
-        if close:
-            free.remove(close)
-            hints.append(f"--column {name}={close}")
+        # What the user called it says more than what we do.
+        close = [*_closest(names[name], free), *_closest(name, free)]
+        if close and name in mapped:
+            others = ", ".join(f"`{other}`" for other in dict.fromkeys(close))
+            hints.append(f"--column {name}={close[0]} (close to it: {others})")
+        elif close:
+            free.remove(close[0])
+            hints.append(f"--column {name}={close[0]}")
     columns = ", ".join(f"`{names[name]}`" for name in lacking)
     plural = "s" if len(lacking) > 1 else ""
     if hints:
         remedy = f"perhaps it goes by another name: {' '.join(hints)}"
     else:
         remedy = f"if it goes by another name, map it: --column {lacking[0]}=NAME"
+    if all(name in signals.optional and name not in mapped for name in lacking):
+        remedy += f"; or give none of {', '.join(signals.optional)}"
     has = ", ".join(f"`{name}`" for name in available) or "none"
     raise LogError(
         f"{path} has no column{plural} {columns}; {remedy} (in Python, `columns=`). "
@@ -190,15 +254,17 @@ def _refuse_missing(
     )
 
 
-def _closest(name: str, candidates: Any) -> str | None:
+def _closest(name: str, candidates: Iterable[str]) -> list[str]:
+    """Up to three of the `candidates` that are much like `name`, the closest first."""
+
     def plain(text: str) -> str:
         return "".join(c for c in text.lower() if c.isalnum())
 
     by_plain = {plain(candidate): candidate for candidate in candidates}
-    close = difflib.get_close_matches(plain(name), by_plain, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(plain(name), by_plain, n=3, cutoff=0.5)
     if not close and name == "t":
         close = [text for text in by_plain if text.startswith(("t", "sec"))][:1]
-    return by_plain[close[0]] if close else None
+    return [by_plain[text] for text in close]
 
 
 def _is_number(text: str) -> bool:
@@ -225,17 +291,21 @@ def _check_lengths(path: Path, data: Columns, labels: Mapping[str, str]) -> None
 
 
 def _check_finite(
-    path: Path, data: Columns, labels: Mapping[str, str], where: Where
+    path: Path,
+    data: Columns,
+    labels: Mapping[str, str],
+    where: Where,
+    truths: tuple[str, ...],
 ) -> None:
     bad = {name: ~np.isfinite(column) for name, column in data.items()}
     first = {name: int(np.argmax(b)) for name, b in bad.items() if b.any()}
     if first:
         name = min(first, key=lambda name: first[name])
         row = first[name]
-        truth = " (or leave truth out, --no-truth)" if name in TRUTH else ""
+        aside = " (or leave truth out, --no-truth)" if name in truths else ""
         raise LogError(
             f"{path}, {where(row)}, column `{labels[name]}`: the value is "
-            f"{data[name][row]}, but it must be finite; remove or repair that row{truth}."
+            f"{data[name][row]}, but it must be finite; remove or repair that row{aside}."
         )
 
 
@@ -256,10 +326,6 @@ def _check_time(
         )
     median = float(np.median(gaps))
     limit = GAP_IN_MEDIANS * median if max_gap is None else max_gap
-    if not limit > 0:
-        raise LogError(
-            f"Argument `max_gap` (option --max-gap) must be positive (s), but got {limit}."
-        )
     if (gaps > limit).any():
         row = int(np.argmax(gaps > limit)) + 1
         by_default = "ten median intervals" if max_gap is None else "max_gap"

@@ -241,9 +241,7 @@ class Pass:
         """`F[1]`, equal to one with the paper's start."""
         return self.output(self.settling(name)) + self.filter.feedthrough(1.0)
 
-    def p(
-        self, s: Array, name: str | None = None, *, settled: bool | None = None
-    ) -> Array:
+    def p(self, s: Array, name: str | None = None, *, settled: bool | None = None) -> Array:
         """`pF[s]`, the filtered derivative, F starting `settled` at s(0) or from zero: by
         default settled with the exact start."""
         if not self.filter.strictly_proper:

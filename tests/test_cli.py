@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import aslo_jax as aslo
-from aslo_jax.cli import flux, main
+from aslo_jax.cli import main, table as tables
 from aslo_jax.logs import read_log, write_table
-from aslo_jax.machine import read_machine
+from aslo_jax.machines import read_machine
 
 DATA = Path(aslo.__file__).parent / "data"
 LOG, MOTOR = DATA / "pmsm_log.csv", DATA / "motor.toml"
@@ -69,7 +69,7 @@ def short(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def direct() -> aslo.Estimate:
     """The library's own replay of the log, 4 substeps, cutoff 150 rad/s."""
-    log, motor = read_log(LOG), read_machine(MOTOR).motor()
+    log, motor = read_log(LOG), read_machine(MOTOR).plant()
     observer = aslo.AlgebraicObserver(
         motor.flux_relation(), aslo.LowPass(150.0), guard=aslo.Guard(threshold=1e-3)
     )
@@ -122,7 +122,8 @@ def test_estimate_of_the_recorded_log(tmp_path, capsys, direct):
     np.testing.assert_allclose(np.exp(1j * error), np.exp(2j * np.pi * turns), atol=1e-10)
 
     assert "8000 rows, 1.5998 s, median interval 0.2 ms" in printed
-    assert "least-squares, cutoff 150 rad/s, exact start" in printed
+    assert "pmsm: least-squares, exact start, threshold 0.001, 4 substeps\n" in printed
+    assert "  cutoff 150 rad/s\n  pll_bandwidth 100 rad/s\n" in printed
     assert "coasting: 0.112 % of the rows (9)" in printed
     assert "relative error, median 3.5e-05" in printed
     assert plot.read_bytes().startswith(b"\x89PNG")
@@ -177,14 +178,14 @@ def test_a_long_log_is_replayed_in_pieces_with_progress(
     tmp_path, capsys, short, monkeypatch
 ):
     estimate(capsys, short, tmp_path / "whole.npz")
-    monkeypatch.setattr(flux, "PIECE", 70)
-    piece, lengths = flux._piece, []
+    monkeypatch.setattr(tables, "PIECE", 70)
+    piece, lengths = tables._piece, []
 
     def spy(observer, state, t, *rest):
         lengths.append(t.size)
         return piece(observer, state, t, *rest)
 
-    monkeypatch.setattr(flux, "_piece", spy)
+    monkeypatch.setattr(tables, "_piece", spy)
     code, _, err = estimate(capsys, short, tmp_path / "pieces.npz")
     assert code == 0
     assert "100%" in err
@@ -213,12 +214,10 @@ def test_the_cutoff_comes_from_the_option_the_file_or_the_log(tmp_path, capsys, 
     assert "for the log's electrical speed of 2" in printed
     machine.write_text(table + "[observer]\ncutoff = 90\npll_bandwidth = 70\n")
     _, printed, _ = estimate(capsys, short, out, machine=machine)
-    assert "cutoff 90 rad/s, exact" in printed
-    assert "loop 70 rad/s" in printed
+    assert "  cutoff 90 rad/s\n  pll_bandwidth 70 rad/s\n" in printed
     options = ("--cutoff", 60, "--pll-bandwidth", 55)
     _, printed, _ = estimate(capsys, short, out, *options, machine=machine)
-    assert "cutoff 60 rad/s, exact" in printed
-    assert "loop 55 rad/s" in printed
+    assert "  cutoff 60 rad/s\n  pll_bandwidth 55 rad/s\n" in printed
 
 
 def test_a_log_at_rest_coasts_and_says_so(tmp_path, capsys):
@@ -244,9 +243,10 @@ def test_repeat_and_gain_are_run(tmp_path, capsys, short):
     )
     log, description = read_log(short), read_machine(machine)
     _, printed, _ = estimate(capsys, short, tmp_path / "out.npz", machine=machine)
-    assert "observer: repeat" in printed
-    assert "A-ASLO gain 50 rad/s" in printed
-    direct = aslo.replay(description.flux_observer(), log.t, log.u, log.y, substeps=4)
+    assert "pmsm: repeat" in printed
+    assert "  gain 50 rad/s\n" in printed
+    observer = description.state_observer(description.rates())
+    direct = aslo.replay(observer, log.t, log.u, log.y, substeps=4)
     with np.load(tmp_path / "out.npz") as found:
         np.testing.assert_allclose(found["flux_beta"], direct.value[:, 1], atol=1e-8)
 
@@ -291,20 +291,23 @@ REFUSED = {
         ["--out", "{dir}/a.csv", "--plot", "{dir}/a.csv.txt"],
         "'.txt', but a figure is one of .png, .pdf, .svg",
     ),
-    "--cutoff": (["--out", "{dir}/a.csv", "--cutoff", "-3"], "--cutoff must be positive"),
+    "--cutoff": (["--out", "{dir}/a.csv", "--cutoff", "-3"], "`--cutoff` must be positive"),
     "--cutoff inf": (
         ["--out", "{dir}/a.csv", "--cutoff", "inf"],
-        "--cutoff must be finite",
+        "`--cutoff` must be positive and finite (rad/s), but got inf",
     ),
-    "--cutoff nan": (["--out", "{dir}/a.csv", "--cutoff", "nan"], "--cutoff must be pos"),
-    "--max-gap": (["--out", "{dir}/a.csv", "--max-gap", "0"], "--max-gap must be positive"),
+    "--cutoff nan": (["--out", "{dir}/a.csv", "--cutoff", "nan"], "`--cutoff` must be pos"),
+    "--max-gap": (
+        ["--out", "{dir}/a.csv", "--max-gap", "0"],
+        "--max-gap) must be positive (s)",
+    ),
     "gaps": (
         ["--out", "{dir}/a.csv", "--max-gap", "1e-4"],
         "line 3, column `t`: a gap of 0.0002 s before 0.0002 s, above the limit of 0.0001",
     ),
     "--pll-bandwidth": (
         ["--out", "{dir}/a.csv", "--pll-bandwidth", "9e3"],
-        "must be at most 2500 rad/s for the sampling interval of this log, but is 9000",
+        "must be at most 2500 rad/s for the sampling interval of this log, 0.0002 s, but",
     ),
     "--column form": (["--out", "{dir}/a.csv", "--column", "t"], "the form NAME=COLUMN"),
     "--column twice": (
@@ -317,7 +320,8 @@ REFUSED = {
     ),
     "--column target": (
         ["--out", "{dir}/a.csv", "--column", "i_alpha=iAlfa"],
-        "no column `iAlfa`; perhaps it goes by another name: --column i_alpha=i_alpha",
+        "no column `iAlfa`; perhaps it goes by another name: --column i_alpha=i_alpha "
+        "(close to it: `i_alpha`)",
     ),
 }
 

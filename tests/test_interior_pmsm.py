@@ -64,9 +64,9 @@ def test_the_error_of_a_dropped_term_grows_with_the_ratio(ratio):
     assert abs(found - expected) < 0.25 * expected + 1e-9
 
 
-def consistent(m, initial, rate=70.0, gain=50.0):
+def consistent(m, initial, rate=70.0, gain=50.0, **settings):
     relation = m.machine.self_consistent_relation()
-    return SelfConsistent(relation, aslo.LowPass(rate), gain, initial)
+    return SelfConsistent(relation, aslo.LowPass(rate), gain, initial, **settings)
 
 
 def test_with_its_own_d_current_the_flux_is_exact_after_a_second():
@@ -91,19 +91,58 @@ def test_from_the_truth_it_stays_there():
     assert error(consistent(m, truth), m, ts, rtol=1e-10).max() < 1e-9
 
 
+@pytest.mark.parametrize("ratio", [1.5, 3.3])
+def test_a_start_that_is_forgotten_costs_no_more_than_the_saliency(ratio):
+    """From the first certified instant on, to the truth at the rate of the filter; a start
+    that is kept is left at the rate of the gain, from all of the flux."""
+    m, ts = motion(LQ / ratio), jnp.array([0.02, 0.05, 0.1, 1.0, 1.5])
+
+    def relative(forget):
+        observer = consistent(m, jnp.zeros(2), forget=forget)
+        return error(observer, m, ts, rtol=1e-10) / 0.2086
+
+    forgotten, kept = relative(True), relative(False)
+    saliency = (LQ - LQ / ratio) / 0.2086  # of an ampere, over the magnet's flux
+    assert forgotten[:3].max() < 0.5 * saliency, forgotten
+    assert kept[0] > 0.3
+    assert forgotten[3:].max() < 1e-8
+
+
 def log(m, dt, t1):
     t = jnp.arange(round(t1 / dt) + 1) * dt
     return t, jax.vmap(m.mean_voltage)(t, t + dt), jax.vmap(m.current)(t)
 
 
-def test_order_two_when_sampled():
+@pytest.mark.parametrize("forget", [False, True])
+def test_order_two_when_sampled(forget):
     m, errors = motion(LQ / 2), []
     for dt in (4e-4, 2e-4):
         t, u, y = log(m, dt, 1.0)
-        value = aslo.replay(consistent(m, jnp.zeros(2)), t, u, y).value
+        observer = consistent(m, jnp.zeros(2), forget=forget)
+        value = aslo.replay(observer, t, u, y).value
         error = jnp.linalg.norm(value - jax.vmap(m.flux)(t), axis=1)
         errors.append(jnp.sqrt(jnp.mean(error[t > 0.6] ** 2)))
     assert 1.9 < np.log2(errors[0] / errors[1]) < 2.1, errors
+
+
+def test_a_start_that_is_forgotten_is_a_guess_until_then():
+    """Sampled, with a guard: the guess while it coasts, then at once the flux."""
+    m = motion(LQ / 1.5)
+    t, u, y = log(m, 1e-4, 0.1)
+    guess, guard = jnp.array([0.3, -0.4]), aslo.Guard(threshold=1e-3)
+    found = {
+        forget: aslo.replay(consistent(m, guess, forget=forget, guard=guard), t, u, y)
+        for forget in (False, True)
+    }
+    first = int(jnp.argmin(found[True].coasting))
+    assert 3 < first < 100
+    truth = jax.vmap(m.flux)(t)
+    error = jnp.linalg.norm(found[True].value - truth, axis=1) / 0.2086
+    drift = jnp.linalg.norm(found[True].value[:first] - guess, axis=1)
+    assert drift.max() < 0.3 and error[: first - 1].min() > 1.0
+    assert error[first:].max() < 0.1
+    kept = jnp.linalg.norm(found[False].value - truth, axis=1) / 0.2086
+    assert kept[first] > 1.0
 
 
 def test_the_active_flux_points_along_the_d_axis():

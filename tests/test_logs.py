@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as parquet
 import pytest
 
-from aslo_jax.logs import SIGNALS, LogError, check_suffix, read_log, write_table
+from aslo_jax.logs import LogError, Signals, check_suffix, read_log, write_table
 
 NAMES = ["t", "u_alpha", "u_beta", "i_alpha", "i_beta"]
 
@@ -286,4 +286,50 @@ def test_parquet_columns_are_checked(tmp_path):
 
 
 def test_signals_are_documented_in_order():
-    assert list(SIGNALS) == NAMES
+    assert list(Signals().required) == NAMES
+
+
+def test_signals_of_another_system(tmp_path):
+    """A position log: no input, two outputs, an optional pair."""
+    k = np.arange(5.0)
+    columns = {
+        "t": k,
+        "q_2": 2 * k,
+        "q_1": k,
+        "velocity_1": 1 + k,
+        "f_b": 5 * k,
+        "f_a": 4 * k,
+    }
+    write_table(tmp_path / "log.csv", columns)
+    signals = Signals(inputs=(), outputs=("q_1", "q_2"), truth=("velocity_1", "velocity_2"))
+    log = read_log(tmp_path / "log.csv", signals)
+    assert log.u.shape == (5, 0)
+    np.testing.assert_array_equal(log.y, np.stack([k, 2 * k], axis=1))
+    assert list(log.truth) == ["velocity_1"]
+
+    fed = Signals((), ("q_1",), optional=("f_a", "f_b"), truth=())
+    np.testing.assert_array_equal(
+        read_log(tmp_path / "log.csv", fed).u, np.stack([4 * k, 5 * k], axis=1)
+    )
+    assert read_log(tmp_path / "log.csv", Signals((), ("q_1",), ("g",), ())).u.size == 0
+    half = Signals((), ("q_1",), optional=("f_a", "f_c"))
+    message = refusal(tmp_path / "log.csv", signals=half)
+    assert "no column `f_c`; perhaps" in message and "or give none of f_a, f_c" in message
+    fitting = read_log(tmp_path / "log.csv", half, columns={"f_c": "f_b"})
+    np.testing.assert_array_equal(fitting.u[:, 1], 5 * k)
+
+
+def test_a_mapping_to_no_column_shows_what_is_close_to_it(tmp_path):
+    text = ["t,Ualpha,Ubeta,Ialpha [A],Ibeta [A]", *lines()[1:]]
+    path = write(tmp_path / "log.csv", text)
+    names = {"u_alpha": "Ualpha", "u_beta": "Ubeta", "i_beta": "Ibeta [A]"}
+    message = refusal(path, columns=names | {"i_alpha": "Ialpha"})
+    assert "no column `Ialpha`" in message
+    assert "--column i_alpha=Ialpha [A] (close to it: `Ialpha [A]`)" in message
+    # What the user wrote goes before what it is called here.
+    text = [
+        "t,u_alpha,u_beta,i_alph,i_beta,phase current",
+        *(f"{k},0,0,0,0,0" for k in "01"),
+    ]
+    message = refusal(write(path, text), columns={"i_alpha": "phase_curent"})
+    assert "--column i_alpha=phase current (close to it: `phase current`, `i_al" in message

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import aslo_jax as aslo
-from aslo_jax.machine import MachineError, cutoff_for, electrical_speed, read_machine
+from aslo_jax.machines import MachineError, cutoff_for, electrical_speed, read_machine
 from aslo_jax.plants import FluxRelation
 
 MOTOR = """\
@@ -41,7 +41,7 @@ def refusal(folder: Path, text: str) -> str:
 
 
 def test_the_motor_has_the_numbers_of_the_file(tmp_path):
-    motor = read(tmp_path, MOTOR).motor()
+    motor = read(tmp_path, MOTOR).plant()
     assert isinstance(motor, aslo.plants.PMSM)
     assert float(motor.resistance) == 8.875
     assert float(motor.inductance) == 40.03e-3
@@ -51,15 +51,16 @@ def test_the_motor_has_the_numbers_of_the_file(tmp_path):
 
 
 def test_what_is_missing_in_observer_has_a_default(tmp_path):
-    observer = read(tmp_path, MOTOR).flux_observer(cutoff=70.0)
+    machine = read(tmp_path, MOTOR)
+    observer = machine.state_observer(machine.rates(given={"cutoff": 70.0}))
     assert isinstance(observer, aslo.AlgebraicObserver)
     assert isinstance(observer.filter, aslo.LowPass)
     assert float(observer.filter.rate) == 70.0
     assert isinstance(observer.completion, aslo.LeastSquares)
     assert observer.start == "exact"
     assert observer.guard == aslo.Guard(threshold=1e-3)
-    with pytest.raises(MachineError, match="`cutoff` must be given"):
-        read(tmp_path, MOTOR).flux_observer()
+    with pytest.raises(MachineError, match="`log` must be given where neither `given` nor"):
+        machine.rates()
 
 
 def test_observer_settings_are_used(tmp_path):
@@ -71,7 +72,8 @@ start = "paper"
 threshold = 0.02
 gain = 12.5
 """
-    observer = read(tmp_path, MOTOR + settings).flux_observer()
+    machine = read(tmp_path, MOTOR + settings)
+    observer = machine.state_observer(machine.rates())
     assert isinstance(observer, aslo.Asymptotic)
     assert float(observer.gain) == 12.5
     inner = observer.observer
@@ -106,18 +108,21 @@ FAULTS = {
     ),
     "kind": (
         MOTOR.replace("pmsm", "induction"),
-        "`machine.kind`, the kind of machine, must be \"pmsm\", but is 'induction'",
+        '`machine.kind`, the kind of machine, must be one of "pmsm", "stepper", ',
     ),
     "no kind": (MOTOR.replace("kind", "#"), "`machine.kind`, the kind of machine, is miss"),
     "unknown key": (
         MOTOR + "resistanse = 1.0\n",
-        "unknown key `machine.resistanse` (did you mean `resistance`? allowed: kind, ",
+        'unknown key `machine.resistanse` of kind = "pmsm" (did you mean `resistance',
     ),
     "unknown table": (
         MOTOR + "[obsever]\n",
         "unknown key `obsever` (did you mean `observer`? allowed: machine, observer)",
     ),
-    "no machine": ("[observer]\n", "the table `[machine]` is missing; its keys: kind, res"),
+    "no machine": (
+        "[observer]\n",
+        "`[machine]` is missing; its first key is `kind`, one of",
+    ),
     "not a table": ("machine = 3\n", "the table `[machine]` must be a table"),
     "completion": (
         MOTOR + '[observer]\ncompletion = "dare"\n',
@@ -155,8 +160,8 @@ def test_what_is_not_a_file(tmp_path):
 
 @pytest.mark.parametrize("speed", [3.0, -40.0, 250.0])
 def test_electrical_speed_of_a_turning_flux(speed):
-    rng = np.random.default_rng(1)
     """A flux that turns at `speed` with u - R i = its derivative, then with noise on u."""
+    rng = np.random.default_rng(1)
     t = 2e-4 * np.arange(8000)
     angle = speed * t
     y = 1.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1)

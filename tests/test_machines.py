@@ -45,7 +45,7 @@ def textbook_torque(name, m, x, y):
     theta = m.pole_pairs * float(x.angle)
     if name == "WRIM":
         stator, rotor = complex(*y[:2]), complex(*y[2:]) * np.exp(1j * theta)
-        product = float(m.mutual) * (stator * np.conj(rotor)).imag
+        product = float(m.mutual_inductance) * (stator * np.conj(rotor)).imag
         flux = complex(*x.flux[:2])
         np.testing.assert_allclose((np.conj(flux) * stator).imag, product, rtol=1e-12)
         return 1.5 * m.pole_pairs * product
@@ -189,8 +189,8 @@ def test_parameter_sets():
         Stepper.bodson(pole_pairs=0)
     with pytest.raises(ValueError, match="`direct_inductance` must be positive"):
         InteriorPMSM.motulator_2200w(direct_inductance=-1.0)
-    with pytest.raises(ValueError, match=r"rotor_inductance - mutual\^2` must be positive"):
-        WRIM.dfig_2mw(mutual=2.6e-3)
+    with pytest.raises(ValueError, match=r"mutual_inductance\^2` must be positive"):
+        WRIM.dfig_2mw(mutual_inductance=2.6e-3)
 
 
 STEPPER = Prescribed(

@@ -97,7 +97,9 @@ def test_fed_rotor(completion, start):
 
 def printed_rotor(rate=5.0, **settings):
     """Prop. 3 as printed has L_s where the rotor's relation holds with L_r."""
-    relation = WindingFluxRelation("rotor", MACHINE.rotor_resistance, 0.1, MACHINE.mutual)
+    relation = WindingFluxRelation(
+        "rotor", MACHINE.rotor_resistance, 0.1, MACHINE.mutual_inductance
+    )
     return aslo.AlgebraicObserver(relation, aslo.LowPass(rate), **settings)
 
 
@@ -142,7 +144,7 @@ def test_every_inductance_and_resistance_matters():
             return jnp.abs(aslo.replay(observer, t, u, y).value - flux[:, part])[500:].max()
 
         assert error(right) < 2e-4
-        for field in ("resistance", "inductance", "mutual"):
+        for field in ("resistance", "inductance", "mutual_inductance"):
             of = lambda o: getattr(o.relation, field)  # noqa: B023
             assert error(eqx.tree_at(of, right, 1.1 * of(right))) > 1e-2, (winding, field)
 

@@ -1,7 +1,10 @@
 """The application: its commands, and what holds for all of them."""
 
+from typing import Annotated
+
 import jax
 
+from .. import __version__
 from .._extras import missing
 
 try:
@@ -9,7 +12,7 @@ try:
 except ModuleNotFoundError as error:
     raise missing("typer", "cli") from error
 
-from .estimate import estimate
+from .estimate import HELP, estimate
 from .paper import paper
 from .sample import sample
 
@@ -22,12 +25,25 @@ app = typer.Typer(
 )
 
 
+def _version(wanted: bool | None) -> None:
+    if wanted:
+        typer.echo(f"aslo-jax {__version__}")
+        raise typer.Exit
+
+
 @app.callback()
-def start() -> None:
+def start(
+    version: Annotated[
+        bool | None,
+        typer.Option(
+            "--version", callback=_version, is_eager=True, help="The version, and exit."
+        ),
+    ] = None,
+) -> None:
     """Differentiable state observers over recorded logs and the paper's experiments."""
     jax.config.update("jax_enable_x64", True)
 
 
-app.command()(estimate)
+app.command(help=HELP)(estimate)
 app.command()(sample)
 app.command()(paper)

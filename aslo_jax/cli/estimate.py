@@ -1,6 +1,6 @@
-"""`aslo-jax estimate`: the flux observer over a recorded log."""
+"""`aslo-jax estimate`: the observer of a machine over a recorded log."""
 
-import math
+import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,16 +9,57 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from .._checks import positive
 from .._extras import require
 from ..logs import Log, check_suffix, read_log, write_table
-from ..machine import Machine, read_machine
-from . import flux
+from ..machines import KINDS, AbstractDescription, MachineError, Quantity, read_machine
+from . import table
 from .outputs import refuse_overlap, staged
+
+
+def _columns() -> str:
+    """The columns of every kind, those alike together."""
+    kinds: dict[tuple[str, ...], list[str]] = {}
+    for name, kind in KINDS.items():
+        signals, suffixes = kind.layout.signals, kind.layout.suffixes()
+        units = [f"{', '.join(q.columns)} ({q.unit})" for q in kind.layout.quantities]
+        guards = [f"{n}{s}" for n in ("certificate", "coasting") for s in suffixes]
+        optional = f"; optionally {', '.join(signals.optional)}" if signals.optional else ""
+        lines = (
+            f"in: {', '.join(signals.required)}{optional}",
+            f"out: t, {', '.join([*units, *guards])}",
+            f"truth: {', '.join(signals.truth)}",
+            f"note: {signals.note}",
+        )
+        kinds.setdefault(lines, []).append(name)
+    texts = []
+    for lines, names in kinds.items():
+        indented = [
+            textwrap.fill(line, 76, initial_indent="  ", subsequent_indent="      ")
+            for line in lines
+        ]
+        texts.append("\n".join(["\b", f"{', '.join(names)}", *indented]))
+    return "\n\n".join(texts)
+
+
+HELP = f"""Estimate the states of a machine that no sensor measures over a recorded LOG.
+
+Columns in: t (s); inputs, voltages (V) or forces (N, N m), each the mean over [t[k],
+t[k+1]), zero where they are optional and missing; outputs, currents (A) or positions (m,
+rad), sampled at t[k]; SI units throughout.
+
+Columns out: t and what is estimated; certificate (dimensionless, small where that is not
+observable); coasting (1 where the certificate is below the threshold and the estimate is
+carried along its known derivative); and, where the log has truth, for scoring only, error_*
+(estimate less truth). Angles are unwrapped. By the kind of machine:
+
+{_columns()}
+"""
 
 
 def estimate(
     log: Annotated[Path, typer.Argument(help="The log: .csv, .parquet or .npz.")],
-    machine: Annotated[Path, typer.Option(help="The motor, a TOML file.")],
+    machine: Annotated[Path, typer.Option(help="The machine, a TOML file.")],
     out: Annotated[Path, typer.Option(help="The table: .csv, .parquet or .npz.")],
     plot: Annotated[
         Path | None, typer.Option(help="A figure as well: .png, .pdf or .svg.")
@@ -33,22 +74,22 @@ def estimate(
     cutoff: Annotated[
         float | None,
         typer.Option(
-            help="Cutoff of the filter (rad/s), in place of the machine's. By default the "
-            "log's typical electrical speed over sqrt(3)."
+            help="Cutoff of the filter (rad/s), in place of the machine's; by default "
+            "chosen for the log, and stated in the summary."
         ),
     ] = None,
     pll_bandwidth: Annotated[
         float | None,
         typer.Option(
-            help="Bandwidth of the phase-locked loop (rad/s), in place of the machine's; "
-            "100 by default."
+            help="Bandwidth of the phase-locked loop (rad/s) of a motor, in place of the "
+            "machine's; 100 by default."
         ),
     ] = None,
     substeps: Annotated[
         int,
         typer.Option(
             min=1,
-            help="Steps per sampling interval, between which currents are interpolated.",
+            help="Steps per sampling interval, between which outputs are interpolated.",
         ),
     ] = 4,
     max_gap: Annotated[
@@ -62,23 +103,11 @@ def estimate(
         bool, typer.Option("--quiet", "-q", help="Neither summary nor progress.")
     ] = False,
 ) -> None:
-    """Estimate flux, angle and speed of a PMSM over a recorded LOG.
-
-    Columns in: t (s); u_alpha, u_beta (V), the mean over [t[k], t[k+1]); i_alpha, i_beta
-    (A), sampled at t[k]; stationary frame, amplitude-invariant. Truth, for scoring only:
-    flux_alpha, flux_beta (Wb), theta_electrical (rad), omega_mechanical (rad/s).
-
-    Columns out: t; flux_alpha, flux_beta (Wb); theta_electrical (rad, unwrapped);
-    omega_electrical (rad/s); certificate (dimensionless, small where the flux is not
-    observable); coasting (1 where it is below the threshold and the flux is carried along
-    u - R i); and, where there is truth, error_* (estimate less truth).
-    """
-    for name, value in {
-        "--cutoff": cutoff,
-        "--pll-bandwidth": pll_bandwidth,
-        "--max-gap": max_gap,
-    }.items():
-        _positive(name, value)
+    """Estimate the states of a machine over a log; its help is [`HELP`][]."""
+    given = {"cutoff": cutoff, "pll_bandwidth": pll_bandwidth}
+    given = {name: value for name, value in given.items() if value is not None}
+    for name, value in given.items():
+        positive(_option(name), value, "rad/s")
     check_suffix(out)
     outputs = {"--out": out} | ({"--plot": plot} if plot else {})
     refuse_overlap(outputs, {"the log": log, "the machine": machine})
@@ -88,13 +117,23 @@ def estimate(
         check_figure_suffix(plot)
         require("matplotlib", "cli,plot")
     description = read_machine(machine)
+    for name in given:
+        if name in description.refused:
+            raise MachineError(
+                f"{_option(name)} is not for {machine}, whose kind is "
+                f'"{description.kind}": {description.refused[name]}.'
+            )
     with staged(*outputs.values()) as parts:
         recorded = read_log(
-            log, columns=_mapping(column or []), truth=truth, max_gap=max_gap
+            log,
+            description.signals,
+            columns=_mapping(column or []),
+            truth=truth,
+            max_gap=max_gap,
         )
-        settings = flux.choose(recorded, description, cutoff, pll_bandwidth, substeps)
+        rates = description.rates(recorded, given)
         with _progress(recorded.t.size, quiet) as progress:
-            result = flux.estimate_flux(recorded, description, settings, progress)
+            result = table.estimate_log(recorded, description, rates, substeps, progress)
         write_table(parts[0], result.columns)
         if plot:
             from .figure import save_figure
@@ -103,19 +142,12 @@ def estimate(
     if not quiet:
         for line in _summary(log, recorded, description, result):
             typer.echo(line)
-    if result.start is None:
-        typer.echo(
-            "aslo-jax: warning: no estimate is certified in this log, the flux is not "
-            "observable in it: does the motor turn?",
-            err=True,
-        )
+    for line in _warnings(recorded, description, result):
+        typer.echo(f"aslo-jax: warning: {line}", err=True)
 
 
-def _positive(name: str, value: float | None) -> None:
-    if value is not None and not value > 0:
-        raise ValueError(f"{name} must be positive, but is {value:g}.")
-    if value is not None and name != "--max-gap" and math.isinf(value):
-        raise ValueError(f"{name} must be finite, but is {value:g}.")
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")
 
 
 def _mapping(options: list[str]) -> dict[str, str]:
@@ -138,7 +170,7 @@ def _mapping(options: list[str]) -> dict[str, str]:
 @contextmanager
 def _progress(rows: int, quiet: bool) -> Iterator:
     """What is told of rows done: a bar on stderr for a log of more than one piece."""
-    if quiet or rows <= flux.PIECE:
+    if quiet or rows <= table.PIECE:
         yield lambda done: None
         return
     bar = require("tqdm", "cli").tqdm(total=rows - 1, unit=" rows", unit_scale=True)
@@ -146,45 +178,84 @@ def _progress(rows: int, quiet: bool) -> Iterator:
         yield bar.update
 
 
-def _summary(path: Path, log: Log, machine: Machine, result: flux.Result) -> Iterator[str]:
-    t, used, observer = log.t, result.settings, machine.observer
+def _summary(
+    path: Path, log: Log, machine: AbstractDescription, result: table.Result
+) -> Iterator[str]:
+    t, settings, signals = log.t, machine.observer, machine.signals
     yield (
         f"{path.name}: {t.size} rows, {t[-1] - t[0]:.6g} s, median interval "
         f"{1e3 * np.median(np.diff(t)):.4g} ms"
     )
-    chosen = ""
-    if used.speed is not None:
-        chosen = f" (for the log's electrical speed of {used.speed:.4g} rad/s)"
+    if log.u.shape[1] == len(signals.inputs) and signals.optional:
+        yield f"not in the log, taken as zero: {', '.join(signals.optional)}"
+    names = [getattr(settings, key, "") for key in ("saliency", "completion")]
     yield (
-        f"observer: {observer.completion}, cutoff {used.cutoff:.4g} rad/s{chosen}, "
-        f"{observer.start} start"
-        + ("" if observer.gain is None else f", A-ASLO gain {observer.gain:g} rad/s")
-        + f", threshold {used.threshold:g}, {used.substeps} substep"
-        + ("s" if used.substeps > 1 else "")
-        + f"; loop {used.pll_bandwidth:.4g} rad/s"
+        f"observer for {machine.kind}: {', '.join(filter(None, names))}, "
+        f"{getattr(settings, 'start', 'exact')} start, threshold {settings.threshold:g}, "
+        f"{result.substeps} substep" + ("s" if result.substeps > 1 else "")
     )
-    coasting = result.columns["coasting"]
-    yield f"coasting: {100 * coasting.mean():.3g} % of the rows ({coasting.sum()})"
-    yield from _score(log, result)
+    for name, (rate, reason) in result.rates.items():
+        yield f"  {name} {rate:.4g} rad/s" + (f" ({reason})" if reason else "")
+    for suffix in machine.suffixes():
+        rows = result.columns[f"coasting{suffix}"]
+        yield f"coasting{suffix}: {100 * rows.mean():.3g} % of the rows ({rows.sum()})"
+    residuals = {} if result.truth else machine.residuals(result.columns, log)
+    if result.truth:
+        yield "against the truth columns:"
+    elif residuals:
+        yield f"consistency, {machine.residual}:"
+    for quantity in machine.quantities:
+        rows = result.settled(quantity.suffix)
+        if rows.any():
+            for text in _score(quantity, result, rows, residuals):
+                yield f"  {quantity.name}, from {t[rows][0]:.6g} s on: {text}"
 
 
-def _score(log: Log, result: flux.Result) -> Iterator[str]:
-    rows = flux.settled(result)
-    errors = {k: v[rows] for k, v in result.columns.items() if k.startswith("error_")}
-    if not errors or not rows.any():
-        return
-    yield f"against the truth columns, from {result.columns['t'][rows][0]:.6g} s on:"
-    relative = flux.relative_flux_error(result, log)
-    if relative is not None:
-        part = relative[rows]
-        yield f"  flux   relative error, median {np.median(part):.2g}, max {part.max():.2g}"
-    if "error_theta_electrical" in errors:
-        rms = np.degrees(_rms(errors["error_theta_electrical"]))
-        yield f"  angle  error, rms {rms:.2g} electrical degrees"
-    if "error_omega_electrical" in errors:
-        rms = _rms(errors["error_omega_electrical"])
-        yield f"  speed  error, rms {rms:.2g} rad/s (electrical)"
+def _score(
+    quantity: Quantity, result: table.Result, rows: np.ndarray, residuals: table.Columns
+) -> Iterator[str]:
+    errors = result.relative_error(quantity)
+    if quantity.name in residuals:
+        part = residuals[quantity.name][rows]
+        yield f"median {np.median(part):.2g}, max {part.max():.2g}"
+    elif errors is not None and len(quantity.columns) > 1:
+        part = errors[rows]
+        yield f"relative error, median {np.median(part):.2g}, max {part.max():.2g}"
+    elif errors is not None:
+        name = next(iter(quantity.columns))
+        rms = _rms(result.columns[f"error_{name}"][rows])
+        if quantity.angle:
+            yield f"error, rms {np.degrees(rms):.2g} electrical degrees"
+        else:
+            size = _rms(result.truth[name][rows])
+            yield f"error, rms {rms:.2g} {quantity.unit} (of {size:.3g})"
 
 
 def _rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(x**2)))
+
+
+def _warnings(
+    log: Log, machine: AbstractDescription, result: table.Result
+) -> Iterator[str]:
+    interval = float(np.median(np.diff(log.t)))
+    sampled = f"{1.0 / interval:.4g} rows a second"
+    if interval > machine.longest_interval:
+        yield (
+            f"the log has {sampled}, which is slow for this kind of machine: is `t` in "
+            "seconds, not milliseconds?"
+        )
+    for suffix in machine.suffixes():
+        share = float(np.mean(result.columns[f"coasting{suffix}"]))
+        which = " and ".join(q.name for q in machine.quantities if q.suffix == suffix)
+        checks = (
+            f"{machine.motion} Check too that `t` is in seconds ({sampled}), the "
+            f"parameters, and the cutoff, which may be far from the frequencies of the log."
+        )
+        if result.start(suffix) is None:
+            yield (
+                f"no estimate is certified in this log, {which} cannot be observed in it: "
+                f"{checks}"
+            )
+        elif share > 0.5:
+            yield f"{100 * share:.3g} % of the rows coast ({which}): {checks}"

@@ -1,19 +1,20 @@
-"""The figure of an estimate: flux, its error, speed, certificate."""
+"""The figure of an estimate: what was estimated, its error, its certificate."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from .._extras import require
 from ..logs import Log
-from ..machine import Machine
-from . import flux
+from ..machines import AbstractDescription, Quantity
+from . import table
 
 SUFFIXES = (".png", ".pdf", ".svg")
-PERIODS = 2  # electrical periods shown of the flux, at the start and at the end
+PERIODS = 2  # shown of what turns, at the start and at the end
 
-ESTIMATE = ("C0", "C1")  # of the alpha and the beta component
+COLORS = ("C3", "C2", "C4", "C5", "C6", "C8")  # of what is trusted apart
 TRUTH: dict[str, Any] = {"color": "black", "linestyle": (0, (4, 3)), "linewidth": 0.9}
 
 
@@ -27,97 +28,158 @@ def check_figure_suffix(path: Path) -> None:
 
 
 def save_figure(
-    path: Path, result: flux.Result, log: Log, machine: Machine, title: str
+    path: Path,
+    result: table.Result,
+    log: Log,
+    machine: AbstractDescription,
+    title: str,
 ) -> None:
-    """Draw `result` and write it to `path`, in the format of its suffix."""
+    """Draw `result` and write it to `path`, in the format of its suffix.
+
+    From the top: close-ups of what turns; its error, or where there is no truth how
+    consistent it is; what does not turn, over the whole log; certificates."""
     figures = require("matplotlib.figure", "cli,plot")
-    figure = figures.Figure(figsize=(10.0, 10.0), layout="constrained")
+    turning = [q for q in machine.quantities if q.turns]
+    others = [q for q in machine.quantities if not (q.turns or q.angle)]
+    errors = _errors(result, log, machine)
+    wide = [*(["error"] if errors else []), *(q.name for q in others), "certificate"]
+    closeups = [[f"{q.name} {end}" for end in ("start", "end")] for q in turning]
+    figure = figures.Figure(figsize=(10, 2 * len(wide) + 2.6 * len(turning) + 1))
+    figure.set_layout_engine("constrained")
     axes = figure.subplot_mosaic(
-        [["start", "end"], ["error", "error"], ["speed", "speed"], ["trust", "trust"]],
-        height_ratios=[1.3, 1.0, 1.0, 1.0],
+        [*closeups, *([name, name] for name in wide)],
+        height_ratios=[1.3] * len(turning) + [1.0] * len(wide),
     )
-    figure.suptitle(f"Flux observer over {title}")
-    _draw_flux(axes["start"], axes["end"], result, log)
-    _draw_error(axes["error"], result, log, machine)
-    _draw_speed(axes["speed"], result, log, machine.machine.pole_pairs)
-    _draw_certificate(axes["trust"], result)
-    wide = [axes[name] for name in ("error", "speed", "trust")]
-    for axis in wide:
-        axis.set_xlim(log.t[0], log.t[-1])
-        axis.sharex(wide[-1])
-        _shade(axis, result)
+    figure.suptitle(f"{machine.title}: observer over {title}")
+    for quantity, (start, end) in zip(turning, closeups, strict=True):
+        _draw_closeups(axes[start], axes[end], quantity, result)
+    if errors:
+        _draw_errors(axes["error"], errors, log, machine, bool(result.truth))
+    for quantity in others:
+        axis = axes[quantity.name]
+        _draw(axis, quantity, result, np.ones(log.t.size, bool))
+        axis.set_title(quantity.name.capitalize())
+        axis.legend(loc="upper right", ncols=3)
+    _draw_certificates(axes["certificate"], result, machine)
+    for name in wide:
+        axes[name].set_xlim(log.t[0], log.t[-1])
+        axes[name].sharex(axes["certificate"])
+        for suffix in machine.suffixes():
+            _shade(axes[name], result, suffix)
     for axis in axes.values():
         axis.grid(alpha=0.3)
-    wide[-1].set_xlabel("time (s)")
+    axes["certificate"].set_xlabel("time (s)")
     # The Agg, PDF or SVG canvas is chosen by the suffix; no window is opened.
     figure.savefig(path, dpi=130)
 
 
-def _draw_flux(start: Any, end: Any, result: flux.Result, log: Log) -> None:
-    t, columns = log.t, result.columns
-    speed = float(np.median(np.abs(columns["omega_electrical"])))
+def _draw(
+    axis: Any, quantity: Quantity, result: table.Result, rows: Bool[np.ndarray, " N"]
+) -> None:
+    """The columns of a quantity, with their truth; limits that outliers do not move."""
+    t, values = result.columns["t"], [result.columns[name] for name in quantity.columns]
+    for k, (name, value) in enumerate(zip(quantity.columns, values, strict=True)):
+        axis.plot(t[rows], value[rows], color=f"C{k}", label=name)
+        if name in result.truth:
+            last = name == quantity.columns[-1]
+            label = "truth" if last else None
+            axis.plot(t[rows], result.truth[name][rows], label=label, **TRUTH)
+    settled = result.settled(quantity.suffix)
+    shown = np.concatenate([value[settled] for value in values])
+    shown = np.concatenate([shown, *(result.truth.get(n, t[:0]) for n in quantity.columns)])
+    if shown.size and np.ptp(shown) > 0:
+        size = np.ptp(shown)
+        axis.set_ylim(shown.min() - 0.1 * size, shown.max() + 0.3 * size)  # and a legend
+    axis.set(ylabel=f"{quantity.unit}", xlim=(t[rows][0], t[rows][-1]))
+
+
+def _draw_closeups(start: Any, end: Any, quantity: Quantity, result: table.Result) -> None:
+    t = result.columns["t"]
+    first, second = (result.columns[name] for name in quantity.columns)
+    turned = np.abs(np.diff(np.unwrap(np.arctan2(second, first))))
+    settled = result.settled(quantity.suffix)[1:]
+    speed = float(np.median((turned / np.diff(t))[settled])) if settled.any() else 0.0
     window = PERIODS * 2.0 * np.pi / speed if speed > 0 else np.inf
     window = min(window, t[-1] - t[0])
-    limit = 1.6 * np.quantile(np.hypot(columns["flux_alpha"], columns["flux_beta"]), 0.9)
-    for axis, rows in ((start, t <= t[0] + window), (end, t >= t[-1] - window)):
-        for name, label, color in zip(
-            ("flux_alpha", "flux_beta"), ("alpha", "beta"), ESTIMATE, strict=True
-        ):
-            axis.plot(t[rows], columns[name][rows], color=color, label=label)
-            if name in log.truth:
-                only_once = "truth" if label == "beta" else None
-                axis.plot(t[rows], log.truth[name][rows], label=only_once, **TRUTH)
-        axis.set(xlabel="time (s)", ylabel="flux (Wb)", xlim=(t[rows][0], t[rows][-1]))
-        if limit > 0:
-            axis.set_ylim(-limit, limit)
-    _shade(start, result)
-    start.set_title("Stator flux, start of the log")
-    end.set_title("Stator flux, end of the log")
+    for axis, when, rows in (
+        (start, "start", t <= t[0] + window),
+        (end, "end", t >= t[-1] - window),
+    ):
+        _draw(axis, quantity, result, rows)
+        axis.set(
+            xlabel="time (s)", title=f"{quantity.name.capitalize()}, {when} of the log"
+        )
+    _shade(start, result, quantity.suffix)
     end.legend(loc="upper right", ncols=3)
 
 
-def _draw_error(axis: Any, result: flux.Result, log: Log, machine: Machine) -> None:
-    relative = flux.relative_flux_error(result, log)
-    if relative is not None:
-        axis.set_title("Relative flux error, |flux - truth| / |truth|")
-    else:
-        motor, columns = machine.machine, result.columns
-        rotor = np.hypot(
-            columns["flux_alpha"] - motor.inductance * log.y[:, 0],
-            columns["flux_beta"] - motor.inductance * log.y[:, 1],
+def _errors(
+    result: table.Result, log: Log, machine: AbstractDescription
+) -> dict[str, Float[np.ndarray, " N"]]:
+    """By quantity, relative: to the truth, of vectors where there are any, or of the
+    equation that ought to hold."""
+    if not result.truth:
+        return machine.residuals(result.columns, log)
+    scored = _vectors(machine) or machine.quantities
+    errors = {quantity.name: result.relative_error(quantity) for quantity in scored}
+    return {name: error for name, error in errors.items() if error is not None}
+
+
+def _vectors(machine: AbstractDescription) -> list[Quantity]:
+    return [quantity for quantity in machine.quantities if len(quantity.columns) > 1]
+
+
+def _draw_errors(
+    axis: Any,
+    errors: dict[str, Float[np.ndarray, " N"]],
+    log: Log,
+    machine: AbstractDescription,
+    truth: bool,
+) -> None:
+    for k, (name, error) in enumerate(errors.items()):
+        color, value = COLORS[k % len(COLORS)], _above_zero(error)
+        axis.semilogy(log.t, value, color=color, linewidth=1, label=name)
+    size = "|truth|" if _vectors(machine) else "rms of the truth"
+    axis.set_title(
+        f"Relative error, |estimate - truth| / {size}"
+        if truth
+        else f"Consistency without truth, {machine.residual}"
+    )
+    axis.set_ylabel("1")
+    low, high = axis.get_ylim()
+    if low < 10.0 < high:  # at the start a flux may be near zero
+        axis.set_ylim(top=10.0)
+    axis.legend(loc="upper right", ncols=3)
+
+
+def _draw_certificates(
+    axis: Any, result: table.Result, machine: AbstractDescription
+) -> None:
+    threshold = machine.observer.threshold
+    axis.set_ylim(1e-2 * threshold, 2.0)  # a certificate is at most about one
+    for k, suffix in enumerate(machine.suffixes()):
+        name = f"certificate{suffix}"
+        value = _above_zero(result.columns[name])
+        axis.semilogy(
+            result.columns["t"],
+            value,
+            color=COLORS[k % len(COLORS)],
+            linewidth=1,
+            label=name,
         )
-        relative = np.abs(rotor / motor.magnet_flux - 1.0)
-        axis.set_title("Consistency without truth, | |flux - L i| / magnet flux - 1 |")
-    axis.semilogy(log.t, _above_zero(relative), color="C3", linewidth=1.0)
-    axis.set_ylabel("relative (1)")
+    axis.axhline(threshold, color="black", linestyle=":", label="threshold")
+    axis.legend(loc="lower right", ncols=3)
+    axis.set(ylabel="1", title="Certificate; grey: coasting")
 
 
-def _draw_speed(axis: Any, result: flux.Result, log: Log, pole_pairs: int) -> None:
-    speed = result.columns["omega_electrical"]
-    axis.plot(log.t, speed, color="C0", label="estimate")
-    if "omega_mechanical" in log.truth:
-        axis.plot(log.t, pole_pairs * log.truth["omega_mechanical"], label="truth", **TRUTH)
-        axis.legend(loc="upper right", ncols=2)
-    axis.set(ylabel="speed (rad/s)", title="Electrical speed, phase-locked loop")
+def _above_zero(x: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+    """`x` with gaps where it is not positive or not finite, for a logarithmic axis."""
+    return np.where((x > 0) & np.isfinite(x), x, np.nan)
 
 
-def _draw_certificate(axis: Any, result: flux.Result) -> None:
-    t, certificate = result.columns["t"], _above_zero(result.columns["certificate"])
-    axis.semilogy(t, certificate, color="C2", linewidth=1.0)
-    axis.axhline(result.settings.threshold, color="black", linestyle=":", label="threshold")
-    axis.legend(loc="lower right")
-    axis.set(ylabel="certificate (1)", title="Certificate; grey: coasting")
-    axis.set_ylim(bottom=1e-2 * result.settings.threshold)
-
-
-def _above_zero(x: np.ndarray) -> np.ndarray:
-    """`x` with gaps where it is not positive, for a logarithmic axis."""
-    return np.where(x > 0, x, np.nan)
-
-
-def _shade(axis: Any, result: flux.Result) -> None:
-    """Shade the intervals in which the estimate coasts."""
-    t, coasting = result.columns["t"], result.columns["coasting"].astype(bool)
+def _shade(axis: Any, result: table.Result, suffix: str) -> None:
+    """Shade the intervals in which an estimate coasts."""
+    t, coasting = result.columns["t"], result.columns[f"coasting{suffix}"].astype(bool)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], coasting, [False]])))
     for first, after in edges.reshape(-1, 2):
         until = t[min(after, t.size - 1)]

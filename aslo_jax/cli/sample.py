@@ -1,4 +1,4 @@
-"""`aslo-jax sample`: a recorded log and its motor to start from."""
+"""`aslo-jax sample`: a log and its motor, or a machine of any kind, to start from."""
 
 from contextlib import ExitStack
 from importlib.resources import files
@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ..machines import template
 from .outputs import staged
 
 NAMES = ("pmsm_log.csv", "motor.toml", "README.md")
@@ -16,11 +17,19 @@ def sample(
     out: Annotated[
         Path, typer.Option(help="Directory to write to; it must exist.")
     ] = Path(),
+    kind: Annotated[
+        str | None,
+        typer.Option(help="Print a machine of this kind as TOML instead, write nothing."),
+    ] = None,
 ) -> None:
-    """Write a sample: pmsm_log.csv, motor.toml and a README.md that describes them.
+    """Write a sample: pmsm_log.csv, motor.toml and a README.md that describes them; or,
+    with --kind, print an example of a machine: sample --kind wrim > machine.toml.
 
     Files that exist are left alone and reported as an error.
     """
+    if kind is not None:
+        typer.echo(template(kind), nl=False)
+        return
     targets = [out / name for name in NAMES]
     for target in targets:
         if target.exists():

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
@@ -23,7 +24,11 @@ class SelfConsistent(AbstractObserver):
 
     - `relation`, `filter`, `completion`, `guard`: as of [`AlgebraicObserver`][];
     - `gain` (rad/s);
-    - `initial`: the estimate at the first instant, shape `(n,)`, in the units of x.
+    - `initial`: the estimate at the first instant, shape `(n,)`, in the units of x;
+    - `forget`: whether the algebraic estimate at the first certified instant takes its
+      place, and the relation goes over from `initial` to the estimate at the rate `gain`,
+      since a step in its terms would be filtered like a signal. By default `initial` is
+      kept, and left at that rate.
 
     The estimate is the state where the two agree. There is no proof that they come to
     agree: for the flux of an interior PMSM they did from every start that was tried, up to
@@ -38,17 +43,23 @@ class SelfConsistent(AbstractObserver):
     initial: Float[Array, " n"] = eqx.field(converter=real)
     completion: AbstractCompletion = eqx.field(default_factory=LeastSquares)
     guard: Guard = eqx.field(default_factory=Guard)
+    forget: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         positive("gain", self.gain, "rad/s")
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
-        start = _Average(jnp.ones_like(self.initial[0]), self.initial)
+        one = jnp.ones_like(self.initial[0])
+        kept = _Average(one, self.initial)
+        start = jax.tree.map(jnp.zeros_like, kept) if self.forget else kept
         X, close = F.loop(_Correction(self.gain), start, "average")
-        x = X.estimate()
 
         def relation(u, y):
-            return self.relation(u, y, x)
+            terms = self.relation(u, y, X.estimate())
+            if not self.forget:
+                return terms
+            first = self.relation(u, y, self.initial)
+            return jax.tree.map(lambda a, b: a + X.weight * (b - a), first, terms)
 
         inner = AlgebraicObserver(
             relation, self.filter, self.completion, self.guard, initial=self.initial
@@ -62,5 +73,6 @@ class SelfConsistent(AbstractObserver):
             error = algebraic.value - x
             return _Drive(algebraic.value, certified, trust, terms.drift(x), error)
 
-        value = close(drive).estimate()
+        X = close(drive)
+        value = jnp.where(X.weight > 0, X.estimate(), algebraic.value)
         return Estimate(value, algebraic.certificate, algebraic.coasting)

@@ -19,7 +19,7 @@ class WindingFluxRelation(eqx.Module):
     stator or the rotor of a wound-rotor induction machine, in the frame of that winding.
 
     - `winding`: `"stator"` or `"rotor"`;
-    - `resistance` (ohm) and `inductance` (H) of that winding; `mutual` inductance L_sr (H).
+    - `resistance` (ohm) and `inductance` (H) of that winding; `mutual_inductance` L_sr (H).
 
     u and y are those of [`WRIM`][]. The paper prints L_s for both windings; the rotor's
     relation holds with L_r.
@@ -30,7 +30,7 @@ class WindingFluxRelation(eqx.Module):
     winding: str = eqx.field(static=True)
     resistance: Float[Array, ""] = eqx.field(converter=real)
     inductance: Float[Array, ""] = eqx.field(converter=real)
-    mutual: Float[Array, ""] = eqx.field(converter=real)
+    mutual_inductance: Float[Array, ""] = eqx.field(converter=real)
 
     def __check_init__(self):
         if self.winding not in WINDINGS:
@@ -39,13 +39,13 @@ class WindingFluxRelation(eqx.Module):
             )
 
     def __call__(self, u: Float[Array, " m"], y: Float[Array, " 4"]) -> Quadratic:
-        L, own = self.inductance, WINDINGS[self.winding]
+        L, L_sr, own = self.inductance, self.mutual_inductance, WINDINGS[self.winding]
         other = WINDINGS["rotor" if self.winding == "stator" else "stator"]
         yk, yo = y[own], y[other]
         return Quadratic(
             Q=jnp.eye(2, dtype=L.dtype) / L,
             c=yk,
-            d=0.5 * (self.mutual**2 * jnp.sum(yo * yo) / L - L * jnp.sum(yk * yk)),
+            d=0.5 * (L_sr**2 * jnp.sum(yo * yo) / L - L * jnp.sum(yk * yk)),
             z=winding_voltages(u)[own] - self.resistance * yk,
         )
 
@@ -62,7 +62,7 @@ class WRIM(AbstractMachine):
     shape `(2,)`, with shorted slip rings, or stator and rotor voltage, shape `(4,)`.
 
     - `stator_resistance`, `rotor_resistance` (ohm), `stator_inductance`,
-      `rotor_inductance`, `mutual` inductance (H), of which the square must be below the
+      `rotor_inductance`, `mutual_inductance` (H), of which the square must be below the
       product of the others; `pole_pairs`; `inertia` (kg m^2), `friction` (N m s/rad);
     - `load(t)`: the load torque (N m) at time t (s);
     - `torque_factor`: 3/2 in the amplitude-invariant convention; 1 as the paper prints it.
@@ -76,7 +76,7 @@ class WRIM(AbstractMachine):
     rotor_resistance: Float[Array, ""] = eqx.field(converter=real)
     stator_inductance: Float[Array, ""] = eqx.field(converter=real)
     rotor_inductance: Float[Array, ""] = eqx.field(converter=real)
-    mutual: Float[Array, ""] = eqx.field(converter=real)
+    mutual_inductance: Float[Array, ""] = eqx.field(converter=real)
     pole_pairs: int = eqx.field(static=True)
     inertia: Float[Array, ""] = eqx.field(converter=real)
     friction: Float[Array, ""] = eqx.field(converter=real, default=0.0)
@@ -88,9 +88,11 @@ class WRIM(AbstractMachine):
         positive("rotor_resistance", self.rotor_resistance, "ohm")
         positive("stator_inductance", self.stator_inductance, "H")
         positive("rotor_inductance", self.rotor_inductance, "H")
-        positive("mutual", self.mutual, "H")
-        leakage = self.stator_inductance * self.rotor_inductance - self.mutual**2
-        positive("stator_inductance * rotor_inductance - mutual^2", leakage, "H^2")
+        positive("mutual_inductance", self.mutual_inductance, "H")
+        leakage = self.stator_inductance * self.rotor_inductance - self.mutual_inductance**2
+        positive(
+            "stator_inductance * rotor_inductance - mutual_inductance^2", leakage, "H^2"
+        )
         positive("inertia", self.inertia, "kg m^2")
         whole("pole_pairs", self.pole_pairs)
 
@@ -104,7 +106,7 @@ class WRIM(AbstractMachine):
             rotor_resistance=2.9e-3,
             stator_inductance=2.587e-3,
             rotor_inductance=2.587e-3,
-            mutual=2.5e-3,
+            mutual_inductance=2.5e-3,
             pole_pairs=2,
             inertia=127.0,
             friction=1e-3,
@@ -113,7 +115,7 @@ class WRIM(AbstractMachine):
 
     def inductances(self, theta):
         Ls, Lr, zero = self.stator_inductance, self.rotor_inductance, 0.0 * theta
-        a, b = self.mutual * direction(theta)
+        a, b = self.mutual_inductance * direction(theta)
         return jnp.stack(
             [
                 jnp.stack([Ls + zero, zero, a, -b]),
@@ -138,4 +140,4 @@ class WRIM(AbstractMachine):
         stator = winding == "stator"
         resistance = self.stator_resistance if stator else self.rotor_resistance
         inductance = self.stator_inductance if stator else self.rotor_inductance
-        return WindingFluxRelation(winding, resistance, inductance, self.mutual)
+        return WindingFluxRelation(winding, resistance, inductance, self.mutual_inductance)

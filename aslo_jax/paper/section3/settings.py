@@ -102,7 +102,7 @@ def printed_winding(machine: WRIM, winding: str) -> WindingFluxRelation:
     """The relation of Prop. 3, with L_s for both windings."""
     right = machine.flux_relation(winding)
     return WindingFluxRelation(
-        winding, right.resistance, machine.stator_inductance, machine.mutual
+        winding, right.resistance, machine.stator_inductance, machine.mutual_inductance
     )
 
 

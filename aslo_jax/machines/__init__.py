@@ -1,0 +1,38 @@
+"""Machine descriptions: a validated TOML file to a plant and its observer.
+
+[machine]
+kind = "pmsm"           # or "stepper", "interior_pmsm", "wrim", "magnetic_bearing",
+                        # "robotic_leg", "ball_beam", "mechanical"
+resistance = 8.875      # ohm
+inductance = 40.03e-3   # H
+magnet_flux = 0.2086    # Wb
+pole_pairs = 5
+inertia = 60e-6         # kg m^2
+
+[observer]              # every key is optional
+cutoff = 150.0          # rad/s
+
+A kind is one module with one final class, and one line in `KINDS`.
+"""
+
+from .ball_beam import BallBeamDescription as BallBeamDescription
+from .base import (
+    AbstractDescription as AbstractDescription,
+    Layout as Layout,
+    MachineError as MachineError,
+    Quantity as Quantity,
+    Rate as Rate,
+)
+from .file import KINDS as KINDS, read_machine as read_machine, template as template
+from .frequency import (
+    cutoff_for_positions as cutoff_for_positions,
+    typical_frequency as typical_frequency,
+)
+from .interior_pmsm import InteriorPMSMDescription as InteriorPMSMDescription
+from .magnetic_bearing import MagneticBearingDescription as MagneticBearingDescription
+from .mechanical import MechanicalDescription as MechanicalDescription
+from .pmsm import PMSMDescription as PMSMDescription
+from .robotic_leg import RoboticLegDescription as RoboticLegDescription
+from .speed import cutoff_for as cutoff_for, electrical_speed as electrical_speed
+from .stepper import StepperDescription as StepperDescription
+from .wrim import WRIMDescription as WRIMDescription

@@ -1,0 +1,256 @@
+"""The protocol of every kind of machine description."""
+
+import abc
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, ClassVar, Generic, NamedTuple, TypeVar
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._extras import missing
+from ..completions import LeastSquares, Repeat
+from ..filters import LowPass
+from ..guard import Guard
+from ..logs import Log, Signals
+from ..observers import AbstractObserver, AlgebraicObserver, Asymptotic
+from ..plants import AbstractPlant
+
+try:
+    from pydantic import BaseModel, ConfigDict, Field
+except ModuleNotFoundError as error:
+    raise missing("pydantic", "cli") from error
+
+Columns = dict[str, np.ndarray]
+
+
+class MachineError(ValueError):
+    """A machine description that cannot be used: names file, key and allowed values."""
+
+
+class Table(BaseModel):
+    """A table of a description: unknown keys, text for a number, NaN are refused."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+Positive = Annotated[float, Field(gt=0)]
+Whole = Annotated[int, Field(gt=0)]
+
+
+def key(
+    description: str,
+    unit: str = "",
+    *,
+    default: Any = ...,
+    example: Any = None,
+    allowed: str | None = None,
+    because: str = "",
+) -> Any:
+    """A key of a table.
+
+    - `unit`: of a number, in SI; a key of `[observer]` in rad/s is a rate of the observer;
+    - `example`: what [`template`][] writes, by default the default;
+    - `allowed`, `because`: for messages, where the type alone does not tell.
+    """
+    full = f"{description} ({unit})" if unit else description
+    notes = {"unit": unit, "allowed": allowed, "because": because}
+    return Field(
+        default=default, description=full, examples=[example], json_schema_extra=notes
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Quantity:
+    """What is estimated, scored and drawn as one.
+
+    - `name`, in words; `columns` of the table of estimates, `unit` of them all;
+    - `suffix`: of the columns `certificate` and `coasting` that speak for it;
+    - `angle`: whether it is an unwrapped angle (rad);
+    - `turns`: whether it turns so often in a log that it is drawn in close-ups;
+    - `tracks`: the column of the angle (rad) whose phase-locked loop gives it; every other
+      column comes from [`AbstractDescription.columns`][].
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    unit: str
+    suffix: str = ""
+    angle: bool = False
+    turns: bool = False
+    tracks: str | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """The columns in, and what is estimated from them, in the order of the table of
+    estimates."""
+
+    signals: Signals
+    quantities: tuple[Quantity, ...]
+
+    def suffixes(self) -> list[str]:
+        """Those of the columns `certificate` and `coasting`."""
+        return list(dict.fromkeys(quantity.suffix for quantity in self.quantities))
+
+
+class Rate(NamedTuple):
+    """A rate of an observer (rad/s), and where it comes from if not from the user."""
+
+    value: float
+    reason: str = ""
+
+
+Rates = dict[str, Rate]
+M = TypeVar("M", bound=Table)
+O = TypeVar("O", bound=Table)
+
+
+class AbstractDescription(Table, abc.ABC, Generic[M, O]):
+    """A machine description, as [`read_machine`][] reads it: the tables `[machine]` and
+    `[observer]`, and what they mean for a log.
+
+    A kind has one final class, which states
+
+    - `kind`: as in `machine.kind`; `title`: the same in words;
+    - `layout`: columns in and out, an example of them where the file decides how many;
+    - `motion`: what a log in which nothing is observable lacks, as a question;
+    - `residual`: the formula of what [`AbstractDescription.residuals`][] returns;
+    - `refused`: keys of `[observer]` that other kinds have and this one cannot, and why;
+    - `longest_interval` (s): a median interval above it makes one doubt the unit of `t`.
+    """
+
+    machine: M
+    observer: O
+
+    kind: ClassVar[str]
+    title: ClassVar[str]
+    layout: ClassVar[Layout]
+    motion: ClassVar[str]
+    residual: ClassVar[str]
+    refused: ClassVar[Mapping[str, str]]
+    longest_interval: ClassVar[float]
+
+    @abc.abstractmethod
+    def plant(self) -> AbstractPlant:
+        """The plant described by `[machine]`."""
+
+    @abc.abstractmethod
+    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
+        """The rates of the observer that are not `stated`, where there are defaults for
+        them without a log or, if there is one, with it. Refuses a stated rate that does
+        not suit the log."""
+
+    @abc.abstractmethod
+    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver:
+        """The observer, with the rates that [`AbstractDescription.rates`][] chooses. Its
+        input and output are u and y of a log with `signals`."""
+
+    @abc.abstractmethod
+    def columns(self, estimate: Any, log: Log) -> Columns:
+        """The table of estimates, each column of shape `(N,)`: what the `quantities` need,
+        and `certificate` and `coasting` (0 or 1) with every suffix. `estimate` is what the
+        observer returns, with a leading axis of length `N`."""
+
+    @abc.abstractmethod
+    def truth(self, log: Log) -> Columns:
+        """The truth of a log by the names of the table of estimates."""
+
+    @abc.abstractmethod
+    def residuals(self, columns: Columns, log: Log) -> Columns:
+        """How far the estimates are from an equation that holds for the true states and
+        was not used to the full, by the name of the quantity: relative, shape `(N,)`."""
+
+    def columns_of_log(self) -> Layout:
+        """The `layout` of this machine's logs."""
+        return self.layout
+
+    @property
+    def signals(self) -> Signals:
+        """The columns of a log, in and for scoring."""
+        return self.columns_of_log().signals
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What is estimated."""
+        return self.columns_of_log().quantities
+
+    def suffixes(self) -> list[str]:
+        """Those of the columns `certificate` and `coasting`."""
+        return self.columns_of_log().suffixes()
+
+    def rates(
+        self, log: Log | None = None, given: Mapping[str, float] | None = None
+    ) -> Rates:
+        """The rates of the observer by their keys in `[observer]`: those `given` (rad/s),
+        then those of the file, then the defaults, for which a cutoff may need the `log`."""
+        given = {} if given is None else given
+        known = [k for k, f in type(self.observer).model_fields.items() if is_rate(f)]
+        for name in given:
+            if name not in known:
+                reason = self.refused.get(name, f"its rates are {', '.join(known)}")
+                raise MachineError(
+                    f'`{name}` is not for a machine of the kind "{self.kind}": {reason}.'
+                )
+        in_file = {k: getattr(self.observer, k) for k in known}
+        stated = {k: v for k, v in (in_file | dict(given)).items() if v is not None}
+        chosen = self.default_rates(log, stated)
+        if "cutoff" not in stated | chosen:
+            raise MachineError(
+                "Argument `log` must be given where neither `given` nor `[observer]` has "
+                "a `cutoff`: it is then chosen for the log."
+            )
+        every = {k: Rate(v) for k, v in stated.items()} | chosen
+        return {k: every[k] for k in known if k in every}
+
+
+def is_rate(field: Any) -> bool:
+    """Whether a field of an `[observer]` is a rate of the observer (rad/s)."""
+    return bool(field.json_schema_extra) and field.json_schema_extra["unit"] == "rad/s"
+
+
+def algebraic(
+    relation: Callable,
+    cutoff: float,
+    *,
+    threshold: float,
+    completion: str = "least-squares",
+    start: str = "exact",
+    gain: Rate | None = None,
+) -> AbstractObserver:
+    """The ASLO with a filter of `cutoff` (rad/s), or with a `gain` (rad/s) the A-ASLO."""
+    observer = AlgebraicObserver(
+        relation,
+        LowPass(cutoff),
+        completion=LeastSquares() if completion == "least-squares" else Repeat(),
+        guard=Guard(threshold=threshold),
+        start=start,
+    )
+    return observer if gain is None else Asymptotic(observer, gain.value)
+
+
+def in_columns(
+    names: tuple[str, ...], values: Float[np.ndarray, "N n"] | Float[Array, "N n"]
+) -> Columns:
+    """The columns of `values` by name."""
+    return dict(zip(names, np.asarray(values).T, strict=True))
+
+
+def certified(estimate: Any, suffix: str = "") -> Columns:
+    """The columns `certificate` and `coasting` of an estimate."""
+    return {
+        f"certificate{suffix}": np.asarray(estimate.certificate),
+        f"coasting{suffix}": np.asarray(estimate.coasting).astype(np.uint8),
+    }
+
+
+def length(*vector: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+    """The Euclidean length of vectors, given entry by entry."""
+    return np.sqrt(np.sum(np.square(vector), axis=0))
+
+
+def relative(
+    x: Float[np.ndarray, " N"], size: Float[np.ndarray, " N"]
+) -> Float[np.ndarray, " N"]:
+    """`|x| / size`, infinite where `size` is zero."""
+    return np.divide(np.abs(x), size, out=np.full(x.shape, np.inf), where=size > 0)

@@ -1,0 +1,41 @@
+"""The keys of `[observer]` that kinds share."""
+
+from typing import Any, Literal
+
+from .base import key
+
+Completion = Literal["least-squares", "repeat"]
+Start = Literal["exact", "paper"]
+
+
+def cutoff(default: str = "from the log", example: float = 150.0) -> Any:
+    text = f"cutoff of the filter, by default {default}"
+    return key(text, "rad/s", default=None, example=example)
+
+
+def completion() -> Any:
+    return key("from one row to two", default="least-squares")
+
+
+def start() -> Any:
+    return key("how the filters start", default="exact")
+
+
+def gain(default: str = "none, an ASLO") -> Any:
+    return key(
+        f"gain of an A-ASLO, by default {default}", "rad/s", default=None, example=50.0
+    )
+
+
+def threshold(default: float = 1e-3) -> Any:
+    return key("certificate below which the estimate coasts", default=default)
+
+
+def pll_bandwidth() -> Any:
+    return key(
+        "bandwidth of the phase-locked loop, by default 100 or, if that is less, half of "
+        "the sampling rate",
+        "rad/s",
+        default=None,
+        example=100.0,
+    )

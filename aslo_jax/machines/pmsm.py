@@ -1,0 +1,64 @@
+"""`kind = "pmsm"`: the surface-mounted permanent-magnet synchronous motor."""
+
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from ..plants import PMSM
+from . import motor
+from .base import AbstractDescription, Positive, Table, Whole, algebraic, key
+
+
+class PMSMTable(Table):
+    """`[machine]` of a PMSM, in SI units."""
+
+    kind: Literal["pmsm"] = key("the kind of machine", example="pmsm")
+    resistance: Positive = key("stator resistance", "ohm", example=8.875)
+    inductance: Positive = key("stator inductance", "H", example=40.03e-3)
+    magnet_flux: Positive = key("magnet flux, amplitude", "Wb", example=0.2086)
+    pole_pairs: Whole = key("number of pole pairs", example=5)
+    inertia: Positive = key("inertia of the rotor", "kg m^2", example=60e-6)
+
+
+class PMSMDescription(AbstractDescription[PMSMTable, motor.MotorObserver]):
+    """A surface-mounted PMSM: flux, angle and speed from stator voltages and currents."""
+
+    machine: PMSMTable
+    observer: motor.MotorObserver = motor.MotorObserver()
+
+    kind = "pmsm"
+    title = "Surface-mounted PMSM"
+    layout = motor.LAYOUT
+    motion = "does the motor turn?"
+    residual = "| |flux - L i| / magnet flux - 1 |"
+    refused: ClassVar = {}
+    longest_interval = motor.LONGEST_INTERVAL
+
+    def plant(self):
+        return PMSM(**self.machine.model_dump(exclude={"kind"}))
+
+    def default_rates(self, log, stated):
+        return motor.motor_rates(log, stated, self.machine.resistance)
+
+    def state_observer(self, rates):
+        settings = self.observer
+        return algebraic(
+            self.plant().flux_relation(),
+            rates["cutoff"].value,
+            threshold=settings.threshold,
+            completion=settings.completion,
+            start=settings.start,
+            gain=rates.get("gain"),
+        )
+
+    def columns(self, estimate, log):
+        magnet = np.asarray(estimate.value) - self.machine.inductance * log.y
+        return motor.motor_columns(estimate, magnet)
+
+    def truth(self, log):
+        return motor.motor_truth(log, self.machine.pole_pairs)
+
+    def residuals(self, columns, log):
+        magnet = motor.flux_of(columns) - self.machine.inductance * log.y
+        size = np.linalg.norm(magnet, axis=1)
+        return {"flux": np.abs(size / self.machine.magnet_flux - 1.0)}

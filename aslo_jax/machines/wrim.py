@@ -1,0 +1,161 @@
+"""`kind = "wrim"`: the wound-rotor induction machine."""
+
+import math
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import model_validator
+
+from ..logs import Signals
+from ..observers import SideBySide
+from ..plants import WRIM
+from . import keys
+from .base import (
+    AbstractDescription,
+    Layout,
+    Positive,
+    Quantity,
+    Rate,
+    Table,
+    Whole,
+    algebraic,
+    certified,
+    in_columns,
+    key,
+    length,
+    relative,
+)
+from .speed import cutoff_for, electrical_speed
+
+NO_ANGLE = "the table has no angle that a phase-locked loop could follow; remove it"
+STATOR, ROTOR = ("flux_s_alpha", "flux_s_beta"), ("flux_r_alpha", "flux_r_beta")
+
+
+class WRIMTable(Table):
+    """`[machine]` of a wound-rotor induction machine, in SI units; rotor quantities the
+    rotor's own or referred to the stator, all in one way."""
+
+    kind: Literal["wrim"] = key("the kind of machine", example="wrim")
+    stator_resistance: Positive = key("resistance of a stator phase", "ohm", example=2.6e-3)
+    rotor_resistance: Positive = key("resistance of a rotor phase", "ohm", example=2.9e-3)
+    stator_inductance: Positive = key("inductance Ls of the stator", "H", example=2.587e-3)
+    rotor_inductance: Positive = key("inductance Lr of the rotor", "H", example=2.587e-3)
+    mutual_inductance: Positive = key("stator to rotor", "H", example=2.5e-3)
+    pole_pairs: Whole = key("number of pole pairs", example=2)
+    inertia: Positive = key("inertia of the rotor", "kg m^2", example=127.0)
+
+    @model_validator(mode="after")
+    def _leak(self):
+        limit = math.sqrt(self.stator_inductance * self.rotor_inductance)
+        if self.mutual_inductance >= limit:
+            raise ValueError(
+                "`machine.mutual_inductance`, stator to rotor (H), must be below the "
+                "square root of stator_inductance * rotor_inductance, "
+                f"{limit:.6g}, but is {self.mutual_inductance!r}"
+            )
+        return self
+
+
+class WRIMObserver(Table):
+    """`[observer]` of a wound-rotor induction machine, all optional.
+
+    Fluxes turn at the frequency of the supply in the stator's frame and at that of the slip
+    in the rotor's, hence a cutoff each.
+    """
+
+    cutoff: Positive | None = keys.cutoff("from the log, for each winding")
+    rotor_cutoff: Positive | None = key(
+        "cutoff of the rotor's filter where it is another one",
+        "rad/s",
+        default=None,
+        example=20.0,
+    )
+    completion: keys.Completion = keys.completion()
+    start: keys.Start = keys.start()
+    gain: Positive | None = keys.gain()
+    threshold: Positive = keys.threshold()
+
+
+class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
+    """A wound-rotor induction machine: stator and rotor flux, each in the frame of its
+    winding, from voltages and currents of both windings."""
+
+    machine: WRIMTable
+    observer: WRIMObserver = WRIMObserver()
+
+    kind = "wrim"
+    title = "Wound-rotor induction machine"
+    layout = Layout(
+        Signals(
+            inputs=("u_s_alpha", "u_s_beta"),
+            optional=("u_r_alpha", "u_r_beta"),
+            outputs=("i_s_alpha", "i_s_beta", "i_r_alpha", "i_r_beta"),
+            truth=(*STATOR, *ROTOR),
+            note="amplitude-invariant; stator quantities in the stationary frame, rotor "
+            "quantities in that of the rotor, which turns by the electrical angle",
+        ),
+        (
+            Quantity("stator flux", STATOR, "Wb", suffix="_s", turns=True),
+            Quantity("rotor flux", ROTOR, "Wb", suffix="_r", turns=True),
+        ),
+    )
+    motion = "is it supplied, and does its flux turn in the frame of that winding?"
+    residual = "| |flux_k - L_k i_k| - L_sr |i_other| | / |flux_k|"
+    refused: ClassVar = {"pll_bandwidth": NO_ANGLE}
+    longest_interval = 5e-3
+
+    def plant(self):
+        return WRIM(**self.machine.model_dump(exclude={"kind"}))
+
+    def default_rates(self, log, stated):
+        if "cutoff" in stated:
+            rotor = stated.get("rotor_cutoff", stated["cutoff"])
+            return {} if "rotor_cutoff" in stated else {"rotor_cutoff": Rate(rotor)}
+        if log is None:
+            return {}
+        R_s, R_r = self.machine.stator_resistance, self.machine.rotor_resistance
+        u_r = log.u[:, 2:] if log.u.shape[1] == 4 else np.zeros_like(log.y[:, 2:])
+        stator = electrical_speed(log.t, log.u[:, :2], log.y[:, :2], R_s)
+        rotor = electrical_speed(log.t, u_r, log.y[:, 2:], R_r)
+        why = "for {} rad/s, the typical frequency of u - R i there".format
+        rates = {"cutoff": Rate(cutoff_for(stator), why(f"{stator:.4g}"))}
+        if "rotor_cutoff" not in stated:
+            rates["rotor_cutoff"] = Rate(cutoff_for(rotor), why(f"{rotor:.4g}"))
+        return rates
+
+    def state_observer(self, rates):
+        settings, plant = self.observer, self.plant()
+
+        def observer(winding, cutoff):
+            return algebraic(
+                plant.flux_relation(winding),
+                cutoff.value,
+                threshold=settings.threshold,
+                completion=settings.completion,
+                start=settings.start,
+                gain=rates.get("gain"),
+            )
+
+        stator = observer("stator", rates["cutoff"])
+        rotor = observer("rotor", rates["rotor_cutoff"])
+        return SideBySide({"stator": stator, "rotor": rotor})
+
+    def columns(self, estimate, log):
+        stator, rotor = estimate["stator"], estimate["rotor"]
+        fluxes = in_columns(STATOR, stator.value) | in_columns(ROTOR, rotor.value)
+        return fluxes | certified(stator, "_s") | certified(rotor, "_r")
+
+    def truth(self, log):
+        return log.truth
+
+    def residuals(self, columns, log):
+        machine, found = self.machine, {}
+        i_s, i_r = log.y[:, :2].T, log.y[:, 2:].T
+        for name, names, L, own, other in (
+            ("stator flux", STATOR, machine.stator_inductance, i_s, i_r),
+            ("rotor flux", ROTOR, machine.rotor_inductance, i_r, i_s),
+        ):
+            flux = np.stack([columns[column] for column in names])
+            linked = length(*(flux - L * own)) - machine.mutual_inductance * length(*other)
+            found[name] = relative(linked, length(*flux))
+        return found
