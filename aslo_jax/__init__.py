@@ -7,6 +7,7 @@ from . import (
     datasheet as datasheet,
     disturbances as disturbances,
     filters as filters,
+    metrics as metrics,
     observers as observers,
     plants as plants,
     random as random,
@@ -17,6 +18,7 @@ from .completions import (
     LeastSquares as LeastSquares,
     Repeat as Repeat,
 )
+from .engines import Batch as Batch, NotFusible as NotFusible, run_batch as run_batch
 from .experiment import Experiment as Experiment, Record as Record
 from .filters import (
     AbstractFilter as AbstractFilter,

@@ -1,0 +1,183 @@
+"""A graph of scalar operations: each is kept once, and constants are folded."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+BOOL = np.dtype(bool)
+
+
+class Node(NamedTuple):
+    """One operation on scalars. `data`: the value of a `const`, the slot of an `input`."""
+
+    op: str
+    dtype: np.dtype
+    args: tuple[int, ...] = ()
+    data: Any = None
+
+
+def _shift(operation):
+    def fold(x, y):
+        return operation(x, y) if 0 <= y < x.dtype.itemsize * 8 else x.dtype.type(0)
+
+    return fold
+
+
+FOLD: dict[str, Callable[..., Any]] = {
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "div": lambda x, y: x / y if x.dtype.kind == "f" else x.dtype.type(int(x / y)),
+    "neg": np.negative,
+    "abs": np.abs,
+    "sqrt": np.sqrt,
+    "floor": np.floor,
+    "ceil": np.ceil,
+    "rint": np.rint,
+    "and": np.bitwise_and,
+    "or": np.bitwise_or,
+    "xor": np.bitwise_xor,
+    "not": np.invert,
+    "shl": _shift(np.left_shift),
+    "lshr": _shift(lambda x, y: (x.view(f"u{x.dtype.itemsize}") >> int(y)).view(x.dtype)),
+    "ashr": _shift(np.right_shift),
+    "eq": np.equal,
+    "ne": np.not_equal,
+    "lt": np.less,
+    "le": np.less_equal,
+    "gt": np.greater,
+    "ge": np.greater_equal,
+}
+COMMUTES = {"add", "mul", "and", "or", "xor", "eq", "ne"}
+
+
+class Graph:
+    """Nodes by number, in an order in which every node follows its arguments."""
+
+    def __init__(self):
+        self.nodes: list[Node] = []
+        self._numbers: dict[Any, int] = {}
+
+    def const(self, value: Any, dtype: Any) -> int:
+        dtype = np.dtype(dtype)
+        value = np.asarray(value, dtype)[()]
+        return self._number(
+            ("const", dtype, value.tobytes()), Node("const", dtype, (), value)
+        )
+
+    def input(self, dtype: Any, slot: Any) -> int:
+        dtype = np.dtype(dtype)
+        return self._number(("input", dtype, slot), Node("input", dtype, (), slot))
+
+    def value(self, number: int) -> Any:
+        """The value of a constant node, and `None` of any other."""
+        node = self.nodes[number]
+        return node.data if node.op == "const" else None
+
+    def dtype(self, number: int) -> np.dtype:
+        return self.nodes[number].dtype
+
+    def op(self, op: str, *args: int) -> int:
+        """An operation whose result has the type of its first argument; comparisons give
+        booleans."""
+        dtype = BOOL if op in ("eq", "ne", "lt", "le", "gt", "ge") else self.dtype(args[0])
+        values = [self.value(a) for a in args]
+        if op in FOLD and all(v is not None for v in values):
+            with np.errstate(all="ignore"):
+                return self.const(FOLD[op](*values), dtype)
+        simple = self._simplified(op, args, values)
+        if simple is not None:
+            return simple
+        if op in COMMUTES and args[0] > args[1]:
+            args = (args[1], args[0])
+        return self._number((op, dtype, args), Node(op, dtype, args))
+
+    def select(self, which: int, on_true: int, on_false: int) -> int:
+        value = self.value(which)
+        if value is not None:
+            return on_true if value else on_false
+        if on_true == on_false:
+            return on_true
+        args = (which, on_true, on_false)
+        dtype = self.dtype(on_true)
+        if dtype == BOOL and (self.value(on_true), self.value(on_false)) == (True, False):
+            return which
+        return self._number(("select", dtype, args), Node("select", dtype, args))
+
+    def fma(self, x: int, y: int, z: int) -> int:
+        """`x y + z`, rounded once."""
+        dtype, args = self.dtype(x), (x, y, z)
+        return self._number(("fma", dtype, args), Node("fma", dtype, args))
+
+    def convert(self, x: int, dtype: Any) -> int:
+        """The number x as `dtype`; a float becomes an integer by truncation."""
+        dtype = np.dtype(dtype)
+        if self.dtype(x) == dtype:
+            return x
+        if dtype == BOOL:
+            return self.op("ne", x, self.const(0, self.dtype(x)))
+        value = self.value(x)
+        if value is not None:
+            with np.errstate(all="ignore"):
+                return self.const(value.astype(dtype), dtype)
+        return self._number(("convert", dtype, (x,)), Node("convert", dtype, (x,)))
+
+    def bitcast(self, x: int, dtype: Any) -> int:
+        dtype = np.dtype(dtype)
+        if self.dtype(x) == dtype:
+            return x
+        value = self.value(x)
+        if value is not None:
+            return self.const(np.asarray(value).view(dtype), dtype)
+        return self._number(("bitcast", dtype, (x,)), Node("bitcast", dtype, (x,)))
+
+    def _number(self, key: Any, node: Node) -> int:
+        number = self._numbers.get(key)
+        if number is None:
+            number = self._numbers[key] = len(self.nodes)
+            self.nodes.append(node)
+        return number
+
+    def _simplified(self, op: str, args: tuple[int, ...], values: list[Any]) -> int | None:
+        """What needs no operation. `0 x` stays, since x may be infinite or no number; the
+        sign of a zero may be lost."""
+        if len(args) == 1:
+            inner = self.nodes[args[0]]
+            undone = op in ("neg", "not") and inner.op == op
+            return inner.args[0] if undone else None
+        x, y = args
+        a, b = values
+        if op == "add":
+            return (
+                y if a is not None and a == 0 else x if b is not None and b == 0 else None
+            )
+        if op == "sub":
+            if b is not None and b == 0:
+                return x
+            return self.op("neg", y) if a is not None and a == 0 else None
+        if op == "mul":
+            for value, other in ((a, y), (b, x)):
+                if value is not None and value == 1:
+                    return other
+                if value is not None and value == -1:
+                    return self.op("neg", other)
+            return None
+        if op == "div":
+            return x if b is not None and b == 1 else None
+        if op in ("and", "or") and x == y:
+            return x
+        if self.dtype(x) == BOOL and op in ("and", "or"):
+            for value, constant, other in ((a, x, y), (b, y, x)):
+                if value is not None:
+                    return other if bool(value) == (op == "and") else constant
+        return None
+
+    def reachable(self, roots: list[int]) -> list[int]:
+        """The nodes that `roots` need, themselves included, arguments first."""
+        needed = np.zeros(len(self.nodes), bool)
+        needed[list(roots)] = True
+        for number in range(len(self.nodes) - 1, -1, -1):
+            if needed[number]:
+                needed[list(self.nodes[number].args)] = True
+        return np.flatnonzero(needed).tolist()

@@ -1,0 +1,102 @@
+"""Replay of recorded logs by the fused engine: one log, or many beside each other."""
+
+import functools
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, PyTree
+
+from .._checks import is_concrete
+from ..observers import AbstractObserver, ObserverState
+from .program import Program
+
+# Lanes that a kernel advances at a time. A single log is bound by the length of its chain
+# of operations, so that more of them gain nothing.
+ONE, MANY = 2, 32
+
+
+def replay_fused(
+    observer: AbstractObserver,
+    state: ObserverState,
+    u: PyTree,
+    y: PyTree,
+    intervals: Array,
+    substeps: int,
+) -> tuple[Any, ObserverState]:
+    """The estimates after each interval, and the last state, from the held `u`, the `y` at
+    the ends of the `intervals` (s), shape `()` where they are all the same.
+
+    Under `jax.vmap` the logs, states and observers of a batch run beside each other. It has
+    no derivative."""
+    arrays, rest = eqx.partition(observer, eqx.is_array)
+    leaves, tree = jax.tree.flatten((arrays, state, u, y, intervals))
+    run = _Replay(rest, tree, [np.ndim(x) for x in leaves], substeps)
+    if is_concrete(*leaves):
+        return jax.tree.map(jnp.asarray, run([np.asarray(x) for x in leaves]))
+    shapes = run.shapes([jax.ShapeDtypeStruct(jnp.shape(x), x.dtype) for x in leaves])
+    return jax.pure_callback(run, shapes, leaves, vmap_method="broadcast_all")
+
+
+class _Replay:
+    """The replay of a batch of logs as a function of arrays with any axes in front."""
+
+    def __init__(self, rest: PyTree, tree: Any, ranks: list[int], substeps: int):
+        self.rest, self.tree, self.ranks, self.substeps = rest, tree, ranks, substeps
+
+    def shapes(self, leaves: list[Any]) -> Any:
+        arrays, state, u, y, intervals = jax.tree.unflatten(self.tree, leaves)
+        steps = jax.tree.leaves(y)[0].shape[0]
+        one = lambda s: jax.ShapeDtypeStruct(s.shape[1:], s.dtype)
+        h = one(intervals) if intervals.shape else intervals
+        signals = jax.tree.map(one, (u, y))
+        final, estimate = jax.eval_shape(self._advance, arrays, state, *signals, h)
+        whole = lambda s: jax.ShapeDtypeStruct((steps, *s.shape), s.dtype)
+        return jax.tree.map(whole, estimate), final
+
+    def _advance(self, arrays, state, u, y, h):
+        observer = eqx.combine(arrays, self.rest)
+        coefficients = observer.allocate(y, u).discretise(h / self.substeps)
+        return observer.advance(state, u, y, coefficients, substeps=self.substeps)
+
+    def __call__(self, leaves: list[Any]) -> Any:
+        leaves = [np.asarray(x) for x in leaves]
+        lead = leaves[0].shape[: leaves[0].ndim - self.ranks[0]]
+        lanes = int(np.prod(lead, dtype=int))
+        flat = [x.reshape(lanes, *x.shape[len(lead) :]) for x in leaves]
+        estimate, final = self._run(flat, lanes)
+        back = lambda x: x.reshape((*lead, *x.shape[1:]))
+        return jax.tree.map(back, (estimate, final))
+
+    def _run(self, leaves: list[np.ndarray], lanes: int) -> Any:
+        arrays, state, u, y, intervals = jax.tree.unflatten(self.tree, leaves)
+        steps = jax.tree.leaves(y)[0].shape[1]
+        signals = {"u": u, "y": y}
+        fixed = {"observer": arrays}
+        (signals if intervals.ndim > 1 else fixed)["h"] = intervals
+        kind = ("shared", "log") if lanes == 1 else ("lane", "lane log")
+        if lanes == 1:
+            fixed, signals = jax.tree.map(lambda x: np.asarray(x[0]), (fixed, signals))
+        inputs = {kind[0]: fixed, kind[1]: signals}
+        drop = 1 if lanes > 1 else 0
+        shapes = {
+            kind[0]: jax.tree.map(functools.partial(_shape, drop=drop), fixed),
+            kind[1]: jax.tree.map(functools.partial(_shape, drop=drop + 1), signals),
+        }
+
+        def body(k, state, shared, lane, log, lane_log):
+            fixed, now = (shared, log) if lanes == 1 else (lane, lane_log)
+            h = (fixed | now)["h"]
+            return self._advance(fixed["observer"], state, now["u"], now["y"], h)
+
+        carry = jax.tree.map(functools.partial(_shape, drop=1), state)
+        program = Program(body, carry, shapes, ONE if lanes == 1 else MANY)
+        final, estimate = program(state, inputs, lanes, steps)
+        return estimate, final
+
+
+def _shape(x: np.ndarray, drop: int) -> jax.ShapeDtypeStruct:
+    """Of an array without its first axes."""
+    return jax.ShapeDtypeStruct(x.shape[drop:], x.dtype)

@@ -1,0 +1,361 @@
+"""The engines agree: with each other, on modules of the library and on a user's own, with
+the accurate solution, whatever the number of threads; and so do their derivatives."""
+
+import warnings
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aslo_jax as aslo
+from aslo_jax.control import AbstractController, FieldOriented, MotorFeedback
+from aslo_jax.disturbances import SampledNoise
+from aslo_jax.engines import NotFusible, run_batch
+from aslo_jax.metrics import (
+    CoastingFraction,
+    FinalError,
+    PeakError,
+    RMSError,
+    SettlingTime,
+)
+from aslo_jax.plants import AbstractPlant
+
+pytest.importorskip("llvmlite")
+MOTOR = aslo.plants.PMSM.bmp0701f()
+RNG = np.random.default_rng(2)
+METRICS = {
+    "rms": RMSError("smooth", 0.02),
+    "peak": PeakError("smooth", 0.02),
+    "final": FinalError("smooth"),
+    "settled": SettlingTime("smooth", 1e-3),
+    "coasting": CoastingFraction("flux"),
+}
+
+
+def speed(t):
+    return 20.0 + 5.0 * jnp.sin(t)
+
+
+def measured(y, x, estimates):
+    return MotorFeedback(y, MOTOR.pole_pairs * x.angle, x.speed)
+
+
+def motor_loop(sample, noisy=False, interval=1e-4, initial=None):
+    """A PMSM under speed control, its resistance and the observers' rates given."""
+    resistance, rate, gain, key = sample
+    motor = eqx.tree_at(lambda m: m.resistance, MOTOR, resistance)
+    relation = MOTOR.flux_relation()
+    flux = aslo.AlgebraicObserver(relation, aslo.LowPass(rate), guard=aslo.Guard(1e-4))
+    return aslo.Experiment(
+        motor,
+        FieldOriented(MOTOR, speed, 2.3),
+        {"flux": flux, "smooth": aslo.Asymptotic(flux, gain)},
+        interval,
+        feedback=measured,
+        sensor=SampledNoise(0.01, interval, key) if noisy else None,
+        initial=initial,
+    )
+
+
+def samples(count):
+    keys = jax.vmap(aslo.random.key)(jnp.arange(count))
+    spread = jnp.asarray(RNG.uniform(0.9, 1.1, (3, count)))
+    return 8.875 * spread[0], 30.0 * spread[1], 20.0 * spread[2], keys
+
+
+def flux(record):
+    return record.t, record.estimates["flux"].value, record.hidden
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+def test_fused_and_scan_agree(noisy):
+    """1e-10 after a tenth of a second, noise, records and metrics included."""
+    make = lambda s: motor_loop(s, noisy)
+    batch = samples(5)
+    settings = dict(metrics=METRICS, record=flux, every=250)
+    a, b = (
+        run_batch(make, batch, 1000, engine=engine, **settings)
+        for engine in ("fused", "scan")
+    )
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        assert x.shape == y.shape and x.dtype == y.dtype
+        np.testing.assert_allclose(x, y, rtol=1e-10, atol=1e-12)
+    assert a.metrics["rms"].shape == (5, 2) and a.record[1].shape == (5, 5, 2)
+    assert np.ptp(np.asarray(a.metrics["rms"][:, 0])) > 0
+
+
+def test_the_scan_engine_runs_the_experiment():
+    """Metrics by hand from the whole record of each run."""
+    batch = samples(3)
+    found = run_batch(motor_loop, batch, 400, metrics=METRICS, engine="scan")
+    for k in range(3):
+        one = motor_loop(jax.tree.map(lambda x, k=k: x[k], batch)).run(400)
+        error = np.asarray(one.estimates["smooth"].value - one.hidden)
+        late = np.asarray(one.t) >= 0.02
+        size = np.linalg.norm(error, axis=1)
+        outside = np.flatnonzero(size > 1e-3)
+        settled = one.t[outside[-1] + 1] if outside[-1] + 1 < len(size) else np.inf
+        expected = {
+            "rms": np.sqrt(np.mean(error[late] ** 2, axis=0)),
+            "peak": np.abs(error[late]).max(axis=0),
+            "final": error[-1],
+            "settled": settled,
+            "coasting": np.mean(np.asarray(one.estimates["flux"].coasting)),
+        }
+        for name, value in expected.items():
+            got = np.asarray(found.metrics[name])[k]
+            np.testing.assert_allclose(got, value, rtol=1e-9, atol=1e-13)
+
+
+def test_the_order_is_that_of_the_integrator():
+    """Against diffrax at 1e-12: the error of the plant falls by 16 with half the interval,
+    under a voltage that is held no shorter."""
+
+    def errors(interval):
+        def make(sample):
+            command = aslo.control.OpenLoop(lambda t: held(t, sample))
+            return aslo.Experiment(MOTOR, command, {}, interval)
+
+        steps = round(0.032 / interval)
+        keep = lambda r: r.hidden
+        return run_batch(
+            make, jnp.array([0.7]), steps, record=keep, every=steps, engine="fused"
+        ).record[0, -1]
+
+    def held(t, phase):
+        k = jnp.floor(t / 4e-3 + 1e-6)
+        return 40.0 * jnp.stack([jnp.cos(k + phase), jnp.sin(k + phase)])
+
+    x = MOTOR.initial()
+    for k in range(8):
+        u = held(jnp.asarray((k + 0.5) * 4e-3), 0.7)
+        x = diffrax.diffeqsolve(
+            diffrax.ODETerm(lambda t, x, u: MOTOR.vector_field(t, x, u)),
+            diffrax.Dopri8(),
+            0.0,
+            4e-3,
+            None,
+            x,
+            args=u,
+            stepsize_controller=diffrax.PIDController(rtol=1e-12, atol=1e-14),
+        ).ys
+        x = jax.tree.map(lambda x: x[-1], x)
+    coarse, fine = (jnp.abs(errors(h) - x.flux).max() for h in (0.125e-3, 0.0625e-3))
+    assert 1e-11 < fine < coarse
+    assert 12.0 < coarse / fine < 20.0
+
+
+def test_bits_do_not_depend_on_threads_or_on_the_size_of_the_batch():
+    batch = samples(150)
+    make = lambda s: motor_loop(s, True)
+    run = lambda batch, threads: run_batch(
+        make, batch, 100, metrics=METRICS, engine="fused", threads=threads
+    )
+    whole = run(batch, 1)
+    for other in (run(batch, 2), run(batch, None)):
+        for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(other), strict=True):
+            np.testing.assert_array_equal(a, b)
+    part = run(jax.tree.map(lambda x: x[140:], batch), 2)
+    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True):
+        np.testing.assert_array_equal(a[140:], b)
+
+
+class Gyroscope(AbstractPlant):
+    """A spinning body, `J w' = J w x w + u - d w`: a user's own plant, with a product of
+    matrices, a remainder, an update in place and a map inside."""
+
+    inertia: jax.Array
+    damping: jax.Array
+
+    def initial(self):
+        return jnp.array([0.3, -2.0, 1.1])
+
+    def vector_field(self, t, x, u):
+        J = jnp.diag(self.inertia).at[0, 1].set(0.1).at[1, 0].set(0.1)
+        momentum = J @ x
+        drag = jax.vmap(lambda d, w: d * w * jnp.abs(w))(self.damping, x)
+        phase = (t * 7.0) % (2 * jnp.pi)
+        push = jnp.zeros(3).at[2].set(jnp.sin(phase))
+        return jnp.linalg.inv(jnp.eye(3)) @ (jnp.cross(momentum, x) + u + push - drag)
+
+    def output(self, x):
+        return x[:2]
+
+    def hidden(self, x):
+        return x[2:]
+
+    def no_input(self, y):
+        return jnp.zeros(3)
+
+
+class Network(AbstractController):
+    """A small perceptron from the measurement to the torques."""
+
+    net: eqx.nn.MLP
+
+    def init(self, fed):
+        return jnp.zeros(())
+
+    def vector_field(self, t, state, fed):
+        return jnp.tanh(fed[0]) - 0.1 * state
+
+    def __call__(self, t, state, fed):
+        return self.net(jnp.append(fed, state))
+
+
+class Washout(aslo.AbstractObserver):
+    """A user's own observer: a filter and a state with a limit."""
+
+    rate: jax.Array
+
+    def equations(self, F, u, y):
+        F = F.using(aslo.LowPass(self.rate))
+        rate = F.p(y[0], "rate")
+        z = F.state("z", jnp.zeros(()), lambda z: jnp.clip(rate - z, -1.0, 1.0))
+        return aslo.Estimate(z[None], jnp.ones(()), z > 0.5)
+
+
+NET = eqx.nn.MLP(3, 3, 8, 2, activation=jnp.tanh, key=jax.random.key(4))
+
+
+def spinning(sample):
+    body = eqx.tree_at(
+        lambda g: g.inertia, Gyroscope(jnp.ones(3), jnp.array([0.1, 0.2, 0.3])), sample
+    )
+    return aslo.Experiment(body, Network(NET), {"w": Washout(jnp.array(8.0))}, 1e-2)
+
+
+class Spinner(Gyroscope):
+    """Without the inverse, which is no elementwise arithmetic."""
+
+    def vector_field(self, t, x, u):
+        J = jnp.diag(self.inertia).at[0, 1].set(0.1).at[1, 0].set(0.1)
+        drag = jax.vmap(lambda d, w: d * w * jnp.abs(w))(self.damping, x)
+        phase = (t * 7.0) % (2 * jnp.pi)
+        push = jnp.zeros(3).at[2].set(jnp.sin(phase))
+        return jnp.cross(J @ x, x) + u + push - drag
+
+
+def spun(sample):
+    body = Spinner(sample, jnp.array([0.1, 0.2, 0.3]))
+    return aslo.Experiment(body, Network(NET), {"w": Washout(jnp.array(8.0))}, 1e-2)
+
+
+INERTIAS = jnp.asarray(RNG.uniform(0.5, 2.0, (7, 3)))
+
+
+def test_modules_of_the_user():
+    metrics = {"rms": RMSError("w"), "coasting": CoastingFraction("w")}
+    settings = dict(metrics=metrics, record=lambda r: (r.x, r.u), every=10)
+    a, b = (run_batch(spun, INERTIAS, 100, engine=e, **settings) for e in ("fused", "scan"))
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_allclose(x, y, rtol=1e-10, atol=1e-12)
+    assert jnp.ptp(a.record[0][:, -1, 2]) > 0.01
+
+
+def test_one_step_from_random_states():
+    """1e-13, from states that no run has visited."""
+    experiment = motor_loop(jax.tree.map(lambda x: x[0], samples(1)))
+    carry, _ = experiment.init()
+    leaves, tree = jax.tree.flatten(carry)
+
+    def make(sample):
+        start = jax.tree.unflatten(tree, sample).x
+        return motor_loop((8.875, 30.0, 20.0, None), initial=start)
+
+    many = [
+        jnp.asarray(RNG.normal(size=(20, *x.shape))).astype(x.dtype) * 0.3 for x in leaves
+    ]
+    keep = lambda r: (r.x, r.u, r.estimates)
+    a, b = (run_batch(make, many, 1, record=keep, engine=e) for e in ("fused", "scan"))
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        scale = max(1.0, float(np.abs(y).max()))
+        np.testing.assert_allclose(x, y, rtol=1e-13, atol=1e-13 * scale)
+
+
+def test_what_cannot_be_compiled_is_refused_or_runs_by_scan_with_a_warning():
+    with pytest.raises(NotFusible, match=r"test_engines\.py:\d+") as caught:
+        run_batch(spinning, INERTIAS, 10, engine="fused")
+    assert "`lu`" in str(caught.value)
+    with pytest.warns(UserWarning, match='Running with engine="scan"'):
+        found = run_batch(spinning, INERTIAS, 10, record=lambda r: r.x)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        same = run_batch(spun, INERTIAS, 10, record=lambda r: r.x, engine="auto")
+    np.testing.assert_allclose(found.record, same.record, rtol=1e-9, atol=1e-12)
+
+
+def loss(gains, engine):
+    """Of two gains and a batch of resistances, differentiated in the gains alone."""
+    resistance, _, _, keys = (jnp.array([8.5, 9.3]), None, None, jnp.zeros((2, 2)))
+    rate, gain = (jnp.full(2, g) for g in gains)
+    metrics = {"rms": METRICS["rms"], "coasting": METRICS["coasting"]}
+    found = run_batch(
+        motor_loop,
+        (resistance, rate, gain, keys),
+        400,
+        metrics=metrics,
+        record=lambda r: (r.estimates["smooth"].value, r.estimates["smooth"].coasting),
+        every=200,
+        engine=engine,
+    )
+    return jnp.mean(found.metrics["rms"]), found.record[0]
+
+
+GAINS = jnp.array([30.0, 20.0])
+
+
+def test_forward_derivatives_are_those_of_scan():
+    jacobian = lambda engine: jax.jacfwd(lambda g: loss(g, engine))(GAINS)
+    (a, rows), (b, others) = jacobian("fused"), jacobian("scan")
+    np.testing.assert_allclose(a, b, rtol=1e-8)
+    np.testing.assert_allclose(rows, others, rtol=1e-7, atol=1e-12)
+    assert rows.shape == (2, 3, 2, 2) and (jnp.abs(a) > 0).all()
+
+
+def test_derivatives_under_jit_and_vmap():
+    fused = lambda g: loss(g, "fused")[0]
+    one = jax.jacfwd(fused)(GAINS)
+    _, push = jax.jit(lambda g, v: jax.jvp(fused, (g,), (v,)))(
+        GAINS, jnp.array([2.0, -1.0])
+    )
+    np.testing.assert_allclose(push, 2 * one[0] - one[1], rtol=1e-9)
+    many = jnp.stack([GAINS, 1.2 * GAINS, 0.9 * GAINS])
+    values = jax.jit(jax.vmap(fused))(many)
+    np.testing.assert_allclose(values[1], fused(many[1]), rtol=1e-12)
+    jacobians = jax.jit(jax.vmap(jax.jacfwd(fused)))(many)
+    np.testing.assert_allclose(jacobians[0], one, rtol=1e-9)
+    np.testing.assert_allclose(jacobians[2], jax.jacfwd(fused)(many[2]), rtol=1e-9)
+
+
+def test_single_precision():
+    single = lambda tree: jax.tree.map(
+        lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, tree
+    )
+    make = lambda s: single(motor_loop(s))
+    keep = lambda r: (r.x, r.estimates["smooth"].value)
+    batch = single(samples(4))
+    a, b = (run_batch(make, batch, 200, record=keep, engine=e) for e in ("fused", "scan"))
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        assert x.dtype == y.dtype == jnp.float32
+        np.testing.assert_allclose(x, y, rtol=1e-3, atol=1e-3 * np.abs(y).max())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (dict(steps=0), "`every` must divide `steps`"),
+        (dict(every=3), "`every` must divide `steps`"),
+        (dict(engine="warp"), '`engine` must be "auto", "fused" or "scan"'),
+        (dict(samples=(jnp.ones(2), jnp.ones(3))), "one leading axis of common length"),
+        (dict(samples=jnp.ones(())), "one leading axis of common length"),
+    ],
+)
+def test_arguments_out_of_range_are_refused(change, message):
+    arguments = dict(make=spun, samples=INERTIAS, steps=10, every=5) | change
+    with pytest.raises(ValueError, match=message):
+        run_batch(**arguments)

@@ -1,0 +1,85 @@
+"""Logs through the fused engine: the estimates of the scan, for one log and for many."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from motion import PrescribedPMSM
+
+import aslo_jax as aslo
+from aslo_jax.engines import NotFusible
+
+pytest.importorskip("llvmlite")
+MOTION = PrescribedPMSM()
+T = np.arange(801) * 1e-3
+
+
+def log(t):
+    t = jnp.asarray(t)
+    ends = jnp.append(t[1:], t[-1] + 1e-3)
+    u = jax.vmap(MOTION.mean_voltage)(t, ends)
+    return u, jax.vmap(MOTION.current)(t)
+
+
+def observer(rate=30.0):
+    flux = aslo.AlgebraicObserver(MOTION.relation(), aslo.LowPass(rate))
+    return aslo.Asymptotic(flux, 20.0)
+
+
+def same(a, b, precision=1e-9):
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        assert x.shape == y.shape and x.dtype == y.dtype
+        np.testing.assert_allclose(x, y, rtol=precision, atol=1e-12)
+
+
+UNEVEN = np.cumsum(1e-3 * (1 + 0.5 * np.sin(np.arange(801.0) ** 2)))
+
+
+@pytest.mark.parametrize("t", [T, UNEVEN], ids=["even", "uneven"])
+@pytest.mark.parametrize("substeps", [1, 3])
+def test_one_log(t, substeps):
+    u, y = log(t)
+    settings = dict(substeps=substeps, return_state=True)
+    a = aslo.replay(observer(), t, u, y, engine="fused", **settings)
+    b = aslo.replay(observer(), t, u, y, engine="scan", **settings)
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    same(a, b)
+
+
+def test_a_log_in_two_pieces():
+    u, y = log(T)
+    run = lambda k, **s: aslo.replay(observer(), T[k], u[k], y[k], engine="fused", **s)
+    first, state = run(slice(0, 401), return_state=True)
+    second = run(slice(400, None), state=state)
+    whole = run(slice(None))
+    same(first.value, whole.value[:401], 1e-12)
+    same(second.value[1:], whole.value[401:], 1e-12)
+
+
+def test_many_logs_and_observers_beside_each_other():
+    u, y = log(T)
+    scale = jnp.linspace(0.95, 1.05, 5)
+    us, ys = scale[:, None, None] * u, scale[:, None, None] * y
+
+    def one(engine):
+        return lambda u, y, rate: aslo.replay(observer(rate), T, u, y, engine=engine)
+
+    rates = 30.0 * scale
+    a = jax.vmap(one("fused"))(us, ys, rates)
+    b = jax.vmap(one("scan"))(us, ys, rates)
+    same(a, b)
+    shared = jax.jit(jax.vmap(one("fused"), (0, None, None)))(us, y, 30.0)
+    same(shared.value[2], one("fused")(u, y, 30.0).value, 1e-10)
+
+
+def test_what_does_not_fit_is_refused():
+    u, y = log(T)
+    with pytest.raises(ValueError, match='`engine` must be "scan" or "fused"'):
+        aslo.replay(observer(), T, u, y, engine="warp")
+
+    class Sorted(aslo.AbstractObserver):
+        def equations(self, F, u, y):
+            return aslo.Estimate(jnp.sort(y), jnp.ones(()), jnp.asarray(False))
+
+    with pytest.raises(NotFusible, match="`sort`"):
+        aslo.replay(Sorted(), T, u, y, engine="fused")
