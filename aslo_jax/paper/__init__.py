@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import jax
 
-SECTIONS = (2, 3)
+SECTIONS = (2, 3, 4)
 
 
 def run(section: int, out: pathlib.Path) -> None:
