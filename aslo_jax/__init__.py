@@ -63,6 +63,7 @@ from .relations import (
 )
 from .replay import replay as replay
 from .simulate import Simulation as Simulation, simulate as simulate
+from .solvers import RungeKutta4 as RungeKutta4
 from .structure import (
     Structure as Structure,
     StructureError as StructureError,

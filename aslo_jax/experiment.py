@@ -13,6 +13,7 @@ from .control import AbstractController
 from .disturbances import AbstractDisturbance
 from .observers import AbstractObserver, ObserverState
 from .plants import AbstractPlant
+from .solvers import runge_kutta
 
 
 class Record(eqx.Module):
@@ -170,20 +171,8 @@ class Experiment(eqx.Module):
             return self.plant.vector_field(t, x, applied), lag_rate
 
         for j in range(self.plant_steps):
-            state = _runge_kutta(rate, t + j * h, state, h)
+            state = runge_kutta(rate, t + j * h, state, h)
         return state
-
-
-def _runge_kutta(rate, t, x, h):
-    def plus(scale, k):
-        return jax.tree.map(lambda x, k: x + scale * k, x, k)
-
-    k1 = rate(t, x)
-    k2 = rate(t + 0.5 * h, plus(0.5 * h, k1))
-    k3 = rate(t + 0.5 * h, plus(0.5 * h, k2))
-    k4 = rate(t + h, plus(h, k3))
-    total = jax.tree.map(lambda a, b, c, d: a + 2.0 * (b + c) + d, k1, k2, k3, k4)
-    return plus(h / 6.0, total)
 
 
 @eqx.filter_jit

@@ -174,8 +174,8 @@ def simulate(
     - `solver`, `stepsize_controller`, `dt0`, `adjoint`, `max_steps`: as in
       `diffrax.diffeqsolve`; by default Tsit5 with `rtol=1e-8`, `atol=1e-10`
       (1e-5 and 1e-7 where JAX computes in single precision). Pass
-      `diffrax.ConstantStepSize()` and `dt0` for fixed steps, `diffrax.ForwardMode()` for
-      forward gradients.
+      `diffrax.ConstantStepSize()` and `dt0` for fixed steps, for which [`RungeKutta4`][]
+      is the cheaper solver, and `diffrax.ForwardMode()` for forward gradients.
 
     **Returns:** a [`Simulation`][]. Differentiable, and `jax.vmap` maps it over initial
     states and parameters alike.

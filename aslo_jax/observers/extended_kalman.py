@@ -13,6 +13,7 @@ from .._small import safe_reciprocal, solve_definite
 from ..filters import AbstractLaw
 from ..plants import AbstractMechanicalSystem, FluxRelation
 from ..realise import Pass
+from ..solvers import runge_kutta
 from .base import AbstractObserver, Estimate
 
 
@@ -105,7 +106,7 @@ class _KalmanBucy(AbstractLaw):
 
     def advance(self, X, v0, v1, coefficients):
         h, (u, _), (_, y) = coefficients, v0, v1
-        predict = lambda x: _runge_kutta(lambda x: self.model.drift(x, u), x, h)
+        predict = lambda x: runge_kutta(lambda t, x: self.model.drift(x, u), 0.0, x, h)
         x, transition = predict(X.mean), jax.jacfwd(predict)(X.mean)
         # Noise enters throughout the interval: the trapezoidal rule of its integral.
         half = 0.5 * h * self.process
@@ -247,11 +248,3 @@ class ExtendedKalman(AbstractObserver):
 def _divide(B: Float[Array, "n p"], S: Float[Array, "p p"]) -> Float[Array, "n p"]:
     """`B S^-1` for a positive definite S."""
     return jnp.stack([solve_definite(S, row)[0] for row in B])
-
-
-def _runge_kutta(rate, x: Float[Array, " n"], h: Array) -> Float[Array, " n"]:
-    k1 = rate(x)
-    k2 = rate(x + 0.5 * h * k1)
-    k3 = rate(x + 0.5 * h * k2)
-    k4 = rate(x + h * k3)
-    return x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
