@@ -66,7 +66,7 @@ def evaluate(function, *arguments):
     """By the engine, one lane for each entry."""
     kinds = tuple(jax.ShapeDtypeStruct((), x.dtype) for x in arguments)
     body = lambda k, carry, shared, lane, log, lane_log: ((), function(*lane))
-    program = Program(body, (), {"lane": kinds}, 32)
+    program = Program.of(body, (), {"lane": kinds}, 32)
     _, found = program((), {"lane": arguments}, arguments[0].size, 1)
     return found[:, 0]
 

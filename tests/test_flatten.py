@@ -23,7 +23,7 @@ def fused(function, *arguments):
     """The function on one lane."""
     kinds = tuple(jax.ShapeDtypeStruct(x.shape, x.dtype) for x in arguments)
     body = lambda k, carry, shared, lane, log, lane_log: ((), function(*lane))
-    program = Program(body, (), {"lane": kinds}, 8)
+    program = Program.of(body, (), {"lane": kinds}, 8)
     _, found = program((), {"lane": tuple(x[None] for x in arguments)}, 1, 1)
     return jax.tree.map(lambda x: x[0, 0], found)
 
@@ -153,4 +153,4 @@ def test_dead_code_is_left_out():
         return (), lane + 1.0
 
     kind = jax.ShapeDtypeStruct((), np.float64)
-    assert Program(body, (), {"lane": kind}, 8).operations == 1
+    assert Program.of(body, (), {"lane": kind}, 8).operations == 1

@@ -9,7 +9,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import PyTree
 
 from .._checks import is_concrete
-from .dependence import depends
+from .derivative import Derivative, is_real
 from .plan import Batch, Plan, joined
 from .program import Program
 
@@ -40,15 +40,14 @@ class Fused:
         self.state, out = jax.eval_shape(
             lambda leaves: plan.first(self._made(leaves)), self.sample
         )
-        self.state_leaves, self.state_tree = jax.tree.flatten(self.state)
         self.kept, self.results = out
         self._programs: tuple[Program, Program] | None = None
-        self._derivatives: dict[Any, Any] = {}
 
     def __call__(self, samples: PyTree) -> Batch:
         leaves = jax.tree.leaves(samples)
         if is_concrete(*leaves):
             return jax.tree.map(jnp.asarray, self._run(leaves))
+        self._loops()  # compiled here, since a callback should leave JAX alone
         return self._transformed(leaves)
 
     def _made(self, leaves: list[Any]) -> PyTree:
@@ -68,10 +67,17 @@ class Fused:
 
             inputs = {"lane": self.sample}
             self._programs = (
-                Program(begin, self.state, inputs, WIDTH),
-                Program(advance, self.state, inputs, WIDTH),
+                Program.of(begin, self.state, inputs, WIDTH),
+                Program.of(advance, self.state, inputs, WIDTH),
             )
         return self._programs
+
+    def _run_with_rates(self, push: Derivative, leaves, rates, directions: int):
+        """The tangents of the real results: an axis of lanes, one of directions, theirs."""
+        state, begin, advance = push.loops(directions, WIDTH)
+        inputs = {"lane": (leaves, rates)}
+        last, record = self._execute(begin, advance, state, inputs, len(leaves[0]))
+        return [*last, *(np.moveaxis(x, 2, 1) for x in record)]
 
     def _execute(self, begin: Program, advance: Program, state, inputs, lanes):
         """The last metrics and all records, axes of lanes first."""
@@ -119,8 +125,9 @@ class Fused:
             ]
             out = run(leaves)
             rates = [rates[k] for k in moved]
+            push = Derivative(self.plan, self.tree, self.sample, self._loops(), moved)
             tangent = jax.pure_callback(
-                lambda leaves, rates: self._rates(leaves, moved, rates),
+                lambda leaves, rates: self._rates(leaves, push, rates),
                 self._float_shapes(),
                 leaves,
                 rates,
@@ -132,7 +139,7 @@ class Fused:
         return run(leaves)
 
     def _float_shapes(self) -> list[jax.ShapeDtypeStruct]:
-        return [s for s in jax.tree.leaves(self._shapes()) if _is_real(s)]
+        return [s for s in jax.tree.leaves(self._shapes()) if is_real(s)]
 
     def _batched(self, leaves: list[Any]) -> Batch:
         """Runs leaves with further axes in front, as more lanes."""
@@ -142,7 +149,7 @@ class Fused:
         out = self._run(flat)
         return jax.tree.map(lambda x: x.reshape(*lead, self.lanes, *x.shape[1:]), out)
 
-    def _rates(self, leaves, moved: list[int], rates) -> list[np.ndarray]:
+    def _rates(self, leaves, push: Derivative, rates) -> list[np.ndarray]:
         """The tangents of the real results. Axes in front of size one in every leaf, and
         not in the rates, are directions."""
         leaves = [np.asarray(x) for x in leaves]
@@ -167,9 +174,11 @@ class Fused:
             return x.reshape(-1, directions, *s.shape)
 
         flat = [flat_leaf(x, s) for x, s in zip(leaves, self.sample, strict=True)]
-        moving = [flat_rate(x, self.sample[k]) for k, x in zip(moved, rates, strict=True)]
+        moving = [
+            flat_rate(x, self.sample[k]) for k, x in zip(push.moved, rates, strict=True)
+        ]
         out = []
-        for leaf in self._run_with_rates(flat, moved, moving, directions):
+        for leaf in self._run_with_rates(push, flat, moving, directions):
             # From lanes first and directions second to the order that was asked for.
             shape = (*lanes_lead, self.lanes, *(lead[a] for a in ahead), *leaf.shape[2:])
             order = [
@@ -180,103 +189,12 @@ class Fused:
             out.append(np.transpose(leaf.reshape(shape), (*order, len(kept), *rest)))
         return out
 
-    # -- tangents ------------------------------------------------------------------------
-
-    def _moving_state(self, moved: list[int]) -> list[int]:
-        """The real leaves of the state that may depend on the moved leaves of a sample."""
-        begin, advance = self._loops()
-        sizes = [int(np.prod(s.shape, dtype=int)) for s in self.sample]
-        edges = np.cumsum([0, *sizes])
-        lanes = {("lane", i) for k in moved for i in range(edges[k], edges[k + 1])}
-        sizes = [int(np.prod(s.shape, dtype=int)) for s in self.state_leaves]
-        edges = np.cumsum([0, *sizes])
-        carried: set[int] = set(np.flatnonzero(depends(begin.loop, lanes)).tolist())
-        while True:
-            sources = lanes | {("carry", i) for i in carried}
-            more = carried | set(np.flatnonzero(depends(advance.loop, sources)).tolist())
-            if more == carried:
-                break
-            carried = more
-        return [
-            j
-            for j, s in enumerate(self.state_leaves)
-            if _is_real(s) and any(i in carried for i in range(edges[j], edges[j + 1]))
-        ]
-
-    def _run_with_rates(self, leaves, moved, rates, directions: int) -> list[np.ndarray]:
-        """The tangents of the real results: an axis of lanes, one of directions, theirs."""
-        key = (tuple(moved), directions)
-        if key not in self._derivatives:
-            self._derivatives[key] = self._loops_with_rates(moved, directions)
-        state, programs = self._derivatives[key]
-        inputs = {"lane": (leaves, rates)}
-        begin, advance = programs
-        last, record = self._execute(begin, advance, state, inputs, len(leaves[0]))
-        return [*last, *(np.moveaxis(x, 2, 1) for x in record)]
-
-    def _loops_with_rates(self, moved: list[int], directions: int):
-        """The state with the tangents of its leaves that move, and the loops over both."""
-        carried = self._moving_state(moved)
-        wide = lambda s: jax.ShapeDtypeStruct((directions, *s.shape), s.dtype)
-        state = (self.state, [wide(self.state_leaves[j]) for j in carried])
-        sample = (self.sample, [wide(self.sample[k]) for k in moved])
-
-        def begin(k, pair, shared, lane, log, lane_log):
-            sample, rates = lane
-
-            def run(inner):
-                return self.plan.first(self._made(_placed(sample, moved, inner)))
-
-            return self._pushed(run, [sample[k] for k in moved], rates, carried)
-
-        def advance(k, pair, shared, lane, log, lane_log):
-            (state, state_rates), (sample, rates) = pair, lane
-            old = jax.tree.leaves(state)
-
-            def run(inner):
-                now, inner = inner[: len(carried)], inner[len(carried) :]
-                made = self._made(_placed(sample, moved, inner))
-                state = jax.tree.unflatten(self.state_tree, _placed(old, carried, now))
-                return self.plan.step(k, state, made, self.plan.prepared(made))
-
-            point = [*(old[j] for j in carried), *(sample[k] for k in moved)]
-            return self._pushed(run, point, [*state_rates, *rates], carried)
-
-        loops = (begin, advance)
-        return state, [Program(loop, state, {"lane": sample}, WIDTH) for loop in loops]
-
-    def _pushed(self, run, point: list[Any], rates: list[Any], carried: list[int]):
-        """The values and, for every direction, the tangents of `run` at `point`."""
-
-        def one(rates):
-            (state, out), (state_rate, rate) = jax.jvp(run, (point,), (rates,))
-            moving = [jax.tree.leaves(state_rate)[j] for j in carried]
-            kept = [
-                [r for r, x in zip(*map(jax.tree.leaves, pair), strict=True) if _is_real(x)]
-                for pair in zip(rate, out, strict=True)
-            ]
-            return state, moving, tuple(kept)
-
-        state, moving, out = jax.vmap(one, out_axes=(None, 0, 0))(rates)
-        return (state, moving), out
-
-
-def _placed(leaves: list[Any], places: list[int], values: list[Any]) -> list[Any]:
-    out = list(leaves)
-    for place, value in zip(places, values, strict=True):
-        out[place] = value
-    return out
-
-
-def _is_real(x: Any) -> bool:
-    return bool(jnp.issubdtype(x.dtype, jnp.floating))
-
 
 def _with_integers(out: PyTree, tangent: list[Any]) -> PyTree:
     """The tangents as a tree like `out`; what is no real number has none."""
     leaves, tree = jax.tree.flatten(out)
     given = iter(tangent)
     filled = [
-        next(given) if _is_real(x) else np.zeros(x.shape, jax.dtypes.float0) for x in leaves
+        next(given) if is_real(x) else np.zeros(x.shape, jax.dtypes.float0) for x in leaves
     ]
     return jax.tree.unflatten(tree, filled)

@@ -6,7 +6,7 @@ import itertools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -22,38 +22,76 @@ Body = Callable[[Any, PyTree, PyTree, PyTree, PyTree, PyTree], tuple[PyTree, PyT
 KINDS = ("shared", "lane", "log", "lane log")
 
 
-class Program:
-    """`body(k, carry, shared, lane, log, lane_log) -> (carry, record)`, compiled.
+class Traced(NamedTuple):
+    """A body as a closed jaxpr, and the trees of what it returns."""
+
+    closed: Any
+    carry: PyTree
+    record: PyTree
+
+
+def trace(body: Body, carry: PyTree, inputs: dict[str, PyTree]) -> Traced:
+    """`body(k, carry, shared, lane, log, lane_log) -> (carry, record)`, traced.
 
     Arguments are given as trees of shapes and types without the axes of lanes and steps:
     `carry`, and by kind the `inputs`: `shared` by all lanes, one for each `lane`, one for
-    each step (`log`), or for both (`lane log`).
-    """
+    each step (`log`), or for both (`lane log`)."""
+    arguments = [inputs.get(kind) for kind in KINDS]
+    closed, out = jax.make_jaxpr(body, return_shape=True)(_step(), carry, *arguments)
+    if _shapes(out[0]) != _shapes(carry):
+        raise ValueError(
+            "The carry of a loop must keep its shapes and types, but a step makes "
+            f"{_shapes(out[0])} of {_shapes(carry)}."
+        )
+    return Traced(closed, *out)
 
-    def __init__(self, body: Body, carry: PyTree, inputs: dict[str, PyTree], width: int):
-        graph = Graph()
-        step = jax.ShapeDtypeStruct((), np.int64 if _wide() else np.int32)
-        trees = {"carry": carry} | {kind: inputs.get(kind) for kind in KINDS}
-        closed, out = jax.make_jaxpr(body, return_shape=True)(step, *trees.values())
-        numbers = [
-            np.asarray(graph.convert(graph.input(np.int64, ("step", 0)), step.dtype))
-        ]
-        for kind, tree in trees.items():
-            numbers += _numbered(graph, kind, tree)
-        found = flatten(graph, closed, numbers)
+
+def numbered(
+    carry: PyTree, inputs: dict[str, PyTree]
+) -> tuple[Graph, dict[str, list[np.ndarray]]]:
+    """A graph of inputs only, and by kind the nodes of each leaf; `step` is the index."""
+    graph = Graph()
+    step = graph.convert(graph.input(np.int64, ("step", 0)), _step().dtype)
+    numbers = {"step": [np.asarray(step)], "carry": _numbered(graph, "carry", carry)}
+    for kind in KINDS:
+        numbers[kind] = _numbered(graph, kind, inputs.get(kind))
+    return graph, numbers
+
+
+def _step() -> jax.ShapeDtypeStruct:
+    wide = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+    return jax.ShapeDtypeStruct((), np.dtype(np.int64 if wide else np.int32))
+
+
+class Program:
+    """A loop, compiled: `carry` and `record` are trees of shapes and types, `found` the
+    nodes of their leaves, those of the carry first."""
+
+    def __init__(
+        self,
+        graph: Graph,
+        carry: PyTree,
+        record: PyTree,
+        found: list[np.ndarray],
+        width: int,
+    ):
         split = len(jax.tree.leaves(carry))
-        self.carry = _shapes(carry)
-        if _shapes(out[0]) != self.carry:
-            raise ValueError(
-                "The carry of a loop must keep its shapes and types, but a step makes "
-                f"{_shapes(out[0])} of {self.carry}."
-            )
-        self.record = _shapes(out[1])
-        self.record_tree = jax.tree.structure(out[1])
+        self.carry, self.record = _shapes(carry), _shapes(record)
+        self.record_tree = jax.tree.structure(record)
         self.loop = Loop(graph, _flat(found[:split]), _flat(found[split:]))
         self.width = width
         self.slots = slots(self.loop)
         self._function = _compiled(emit(self.loop, width))
+
+    @classmethod
+    def of(
+        cls, body: Body, carry: PyTree, inputs: dict[str, PyTree], width: int
+    ) -> "Program":
+        """Of a function, see [`trace`][]."""
+        traced = trace(body, carry, inputs)
+        graph, numbers = numbered(carry, inputs)
+        found = flatten(graph, traced.closed, [n for ns in numbers.values() for n in ns])
+        return cls(graph, carry, traced.record, found, width)
 
     @property
     def operations(self) -> int:
@@ -102,10 +140,6 @@ class Program:
             ),
             jax.tree.unflatten(self.record_tree, _gathered(record, self.record, lanes)),
         )
-
-
-def _wide() -> bool:
-    return bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _shapes(tree: PyTree) -> list[tuple[tuple[int, ...], np.dtype]]:

@@ -92,7 +92,7 @@ class _Replay:
             return self._advance(fixed["observer"], state, now["u"], now["y"], h)
 
         carry = jax.tree.map(functools.partial(_shape, drop=1), state)
-        program = Program(body, carry, shapes, ONE if lanes == 1 else MANY)
+        program = Program.of(body, carry, shapes, ONE if lanes == 1 else MANY)
         final, estimate = program(state, inputs, lanes, steps)
         return estimate, final
 
