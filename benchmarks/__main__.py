@@ -1,17 +1,20 @@
-"""Every benchmark, or those named on the command line."""
+"""Every benchmark, or those named on the command line; `--quick` for a shorter `pmsm`."""
 
+import functools
 import sys
 
-from . import import_time, replay, reversal
+from . import import_time, pmsm, replay, reversal
 
+quick = "--quick" in sys.argv
 BENCHMARKS = {
     "import_time": import_time.main,
     "replay": replay.main,
     "reversal": reversal.main,
+    "pmsm": functools.partial(pmsm.main, quick),
 }
 
 if __name__ == "__main__":
-    names = sys.argv[1:] or list(BENCHMARKS)
+    names = [name for name in sys.argv[1:] if name != "--quick"] or list(BENCHMARKS)
     if unknown := set(names) - set(BENCHMARKS):
         sys.exit(f"No benchmark {sorted(unknown)}; there are {sorted(BENCHMARKS)}.")
     failures = [failure for name in names for failure in BENCHMARKS[name]()]

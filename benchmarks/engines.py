@@ -1,0 +1,255 @@
+"""How the engines scale: size of the batch, horizon, threads, observers side by side, the
+time to compile, forward gradients, the replay of a long log. Part of the benchmark `pmsm`.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+RUNS = 7
+LANES, STEPS = 1024, 1000
+SIZES = {"fused": 10**6, "C": 10**6, "scan": 10**4, "diffrax": 10**3}  # the largest ones
+SAMPLES = 1_000_000  # of the replay
+
+# The bounds.
+THREADS, TEN_OBSERVERS, GRADIENT, COMPILE, REPLAY = 1.8, 0.35, 2.6, 2.0, 1.0
+
+
+def scaling(quick: bool) -> dict[str, Any]:
+    """All figures; if `quick`, those that take seconds."""
+    found = {"threads": threads(), "observers": observers(), "gradient": gradient()}
+    if not quick:
+        found |= {"horizon": horizon(), "paper": paper(), "replay": replay()}
+        found |= {"sizes": sizes()}
+    return found
+
+
+def _batch(count: int):
+    import jax
+    import numpy as np
+
+    from . import motor_loop as work
+
+    return jax.tree.map(np.asarray, work.samples(count))
+
+
+def threads() -> dict[str, float]:
+    """Million steps of a trajectory per second with one thread and with two."""
+    from . import motor_loop as work, timing
+
+    batch = _batch(LANES)
+    run = {str(n): work.sampled("fused", batch, STEPS, threads=n) for n in (1, 2)}
+    seconds, _ = timing.interleaved(run, RUNS)
+    return {n: LANES * STEPS / s / 1e6 for n, s in seconds.items()}
+
+
+def observers() -> list[dict[str, float]]:
+    """1, 5 and 10 ASLO with other filters beside each other: steps and operations."""
+    from . import motor_loop as work, timing
+
+    batch = _batch(LANES)
+    counts = 1, 5, 10
+    run = {n: work.sampled("fused", batch, STEPS // 4, count=n) for n in counts}
+    seconds, _ = timing.interleaved({str(n): r for n, r in run.items()}, RUNS)
+    rows = []
+    for n in counts:
+        speed = LANES * (STEPS // 4) / seconds[str(n)] / 1e6
+        operations = work.operations(count=n)
+        rows.append({"observers": n, "speed": speed, "operations": operations})
+    return rows
+
+
+def gradient() -> dict[str, float]:
+    """Seconds of the values, and of the values with forward derivatives in two gains."""
+    import jax
+    import jax.numpy as jnp
+
+    from aslo_jax.engines import run_batch
+    from aslo_jax.metrics import RMSError
+
+    from . import motor_loop as work, timing
+
+    resistance, magnet, keys = _batch(LANES)
+
+    metrics = {"rms": RMSError("A-ASLO", 0.02)}
+
+    def loss(gains):
+        spread = [jnp.full(LANES, g) for g in gains]
+        batch = (resistance, magnet, keys, *spread)
+        make = lambda s: work.make(s[:3], gains=s[3:])
+        found = run_batch(make, batch, STEPS // 2, metrics=metrics, engine="fused")
+        return jnp.mean(found.metrics["rms"])
+
+    gains = jnp.array([work.RATE, work.GAIN])
+    # The callback of the derivative returns tangents only: the values are a run beside it.
+    # That run is part of `jacfwd`, and dropped where nothing uses them.
+    primal, tangent = jax.jit(loss), jax.jit(jax.jacfwd(loss))
+    run = {
+        "primal": lambda: jax.block_until_ready(primal(gains)),
+        "gradient": lambda: jax.block_until_ready(tangent(gains)),
+    }
+    seconds, _ = timing.interleaved(run, RUNS)
+    return seconds
+
+
+def horizon() -> list[dict[str, float]]:
+    """Seconds of one batch over 100 to 100,000 steps."""
+    from . import motor_loop as work, timing
+
+    batch = _batch(LANES)
+    steps = 100, 1000, 10_000, 100_000
+    run = {str(n): work.sampled("fused", batch, n) for n in steps}
+    seconds, _ = timing.interleaved(run, 3)
+    return [
+        {"steps": n, "seconds": seconds[str(n)], "speed": LANES * n / seconds[str(n)] / 1e6}
+        for n in steps
+    ]
+
+
+def paper() -> dict[str, float]:
+    """Million steps per second of the observers as printed: paper's start, Repeat."""
+    from . import motor_loop as work, timing
+
+    batch = _batch(LANES)
+    run = {e: work.sampled(e, batch, STEPS, paper=True) for e in ("fused", "scan")}
+    seconds, _ = timing.interleaved(run, 3)
+    return {e: LANES * STEPS / s / 1e6 for e, s in seconds.items()}
+
+
+def replay() -> dict[str, float]:
+    """Seconds to replay a log of a million samples: fused, scan, a cascade of `lfilter`."""
+    import jax
+
+    import aslo_jax as aslo
+
+    from . import replay as recorded, timing
+
+    t, u, y, _ = recorded.log(SAMPLES)
+    relation = aslo.plants.FluxRelation(recorded.RESISTANCE, recorded.INDUCTANCE)
+    observer = aslo.AlgebraicObserver(relation, aslo.LowPass(recorded.RATE))
+    run: dict[str, Callable[[], Any]] = {
+        e: lambda e=e: jax.block_until_ready(aslo.replay(observer, t, u, y, engine=e))
+        for e in ("fused", "scan")
+    }
+    run["lfilter"] = recorded.cascade(t, u, y)
+    return timing.interleaved(run, 5)[0]
+
+
+def sizes() -> dict[str, list[dict[str, float]]]:
+    """Million steps per second for batches of 1 to a million trajectories, over 1,000
+    steps and fewer where that would take long."""
+    import tempfile
+
+    from . import motor_loop as work, timing
+    from .by_hand import ByHand
+
+    found: dict[str, list[dict[str, float]]] = {name: [] for name in SIZES}
+    with tempfile.TemporaryDirectory() as folder:
+        hand = ByHand(folder) if ByHand.available() else None
+        for count in (10**k for k in range(7)):
+            batch = _batch(count)
+            steps = min(STEPS, 10**8 // count)
+            run = {"fused": work.sampled("fused", batch, steps)}
+            if hand:
+                run["C"] = hand.sampled(2, batch, steps, timing.processors())
+            if count <= SIZES["scan"]:
+                run["scan"] = work.sampled("scan", batch, steps)
+            if count <= SIZES["diffrax"]:
+                run["diffrax"] = work.continuous(batch, steps, tolerance=1e-6)
+            seconds, _ = timing.interleaved(run, 3)
+            for name, second in seconds.items():
+                speed = count * steps / second / 1e6
+                found[name].append({"lanes": count, "steps": steps, "speed": speed})
+    return found
+
+
+# ---- the report ----------------------------------------------------------------------
+
+
+def report(figures: dict[str, Any]) -> list[str]:
+    """Print the tables; return what does not hold."""
+    scale, failures = figures["scaling"], []
+
+    def check(value: float, bound: float, what: str, most: bool = False) -> None:
+        word = "at most" if most else "at least"
+        print(f"  {what:<44}{value:>9.3g}   ({word} {bound:g})")
+        if not (value <= bound if most else value >= bound):
+            failures.append(f"{what}: {value:.3g}, must be {word} {bound:g}.")
+
+    print(
+        f"\nThe fused engine, {LANES:,} trajectories, medians of {RUNS}; {figures['load']}"
+    )
+    ratio = scale["threads"]["2"] / scale["threads"]["1"]
+    if figures["threads"] == 2:
+        check(ratio, THREADS, "two threads over one")
+        rows = [r for r in figures["rows"] if r["engine"] == "C" and not r["noisy"]]
+        hand = {r["threads"]: r["speed"] for r in rows}
+        if hand:
+            print(f"  {'the same of C, in the rounds above':<44}{hand[2] / hand[1]:>9.3g}")
+    first, *_, last = rows = scale["observers"]
+    for r in rows:
+        rate = r["speed"] * r["operations"] / 1e3
+        print(
+            f"  {r['observers']:>3} ASLO{r['operations']:>8} operations"
+            f"{r['speed']:>9.1f} M steps/s{rate:>9.1f} G operations/s"
+        )
+    share = last["speed"] * last["operations"] / (first["speed"] * first["operations"])
+    check(share, TEN_OBSERVERS, "rate of operations, ten ASLO over one")
+    seconds = scale["gradient"]
+    check(
+        seconds["gradient"] / seconds["primal"],
+        GRADIENT,
+        "gradient in two gains over the values",
+        most=True,
+    )
+    for name, second in figures["compile"].items():
+        check(second, COMPILE, f"seconds to trace and compile, {name}", most=True)
+    for r in scale.get("horizon", ()):
+        print(
+            f"  {r['steps']:>9,} steps{r['seconds']:>10.3f} s{r['speed']:>9.1f} M steps/s"
+        )
+    if "paper" in scale:
+        fused, scan = scale["paper"]["fused"], scale["paper"]["scan"]
+        print(
+            "  as printed (paper's start, Repeat), M steps/s:"
+            f"{fused:>9.1f} fused{scan:>8.2f} scan"
+        )
+    if "replay" in scale:
+        seconds = scale["replay"]
+        print(f"  replay of {SAMPLES:,} samples: " + listed(seconds, "s"))
+        check(seconds["lfilter"] / seconds["fused"], REPLAY, "replay, lfilter over fused")
+    if "sizes" in scale:
+        print("  M steps/s by size of the batch")
+        for name, rows in scale["sizes"].items():
+            speeds = "".join(f"{r['speed']:>10.3g}" for r in rows)
+            print(f"  {name:<10}{speeds}")
+    return failures
+
+
+def listed(values: dict[str, float], unit: str) -> str:
+    return ", ".join(f"{name} {value:.3g} {unit}" for name, value in values.items())
+
+
+def plot(figures: dict[str, Any], path: str) -> None:
+    """Speed over the size of the batch, or the headline alone, both axes logarithmic."""
+    import matplotlib
+
+    matplotlib.use("agg")
+    import matplotlib.pyplot as plt
+
+    _, axes = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
+    sizes = figures["scaling"].get("sizes", {})
+    for name, rows in sizes.items():
+        x, y = [r["lanes"] for r in rows], [1e6 * r["speed"] for r in rows]
+        axes.loglog(x, y, "o-", label=name)
+    for r in figures["rows"]:
+        if r["engine"] not in sizes and not r["noisy"]:
+            axes.loglog(r["lanes"], 1e6 * r["speed"], "s", label=r["engine"])
+    axes.set(xlabel="trajectories", ylabel="steps of a trajectory per second")
+    axes.set_title(f"PMSM, ASLO and A-ASLO, {figures['threads']} threads")
+    low, high = axes.get_ylim()
+    axes.set_ylim(10 ** math.floor(math.log10(low)), 10 ** math.ceil(math.log10(high)))
+    axes.grid(True, which="both", alpha=0.3)
+    axes.legend(fontsize="small")
+    plt.savefig(path, dpi=150)
+    plt.close()

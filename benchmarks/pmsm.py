@@ -1,0 +1,237 @@
+"""The engines side by side, on one closed loop: fused, scan, diffrax, SciPy, and C by hand.
+
+`python -m benchmarks pmsm --quick` is the headline; without `--quick` it also measures how
+the engines scale (`benchmarks/engines.py`). `pmsm.json` and `pmsm.png` keep the figures.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+LANES, STEPS = 1024, 1000
+RUNS = 7
+SLOW_RUNS = 3  # of what takes seconds
+FEW = 4  # trajectories of the reference and of SciPy
+TOLERANCE = 1e-6  # of the adaptive peers: their flux is then about as accurate as RK4's
+
+# The bounds.
+OVER_C, OVER_C_NOISY, OVER_DIFFRAX, OVER_SCIPY = 1.2, 1.0, 100.0, 1000.0
+AGREEMENT = 1e-9  # Wb, between C and fused
+
+
+def contend(path: str, quick: str) -> None:
+    """In a process of its own: measure, write the figures."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    with tempfile.TemporaryDirectory() as folder:
+        figures: dict[str, Any] = {"compile": compile_times(), **headline(folder)}
+        from . import engines, timing
+
+        figures["scaling"] = engines.scaling(quick == "quick")
+        figures["load"] = timing.load()
+    Path(path).write_text(json.dumps(figures, indent=2) + "\n")
+
+
+def compile_times() -> dict[str, float]:
+    """Seconds from modules to the results of one step: trace, graph, LLVM, callback."""
+    import jax
+
+    from . import motor_loop as work
+
+    tiny = work.samples(32)
+    # The tracer, the evaluator and LLVM itself are warm for whatever is measured.
+    work.aslo_run("fused", tiny, 1, count=1)
+    found = {}
+    for name, choice in {
+        "ASLO and A-ASLO": {},
+        "with noise": {"noisy": True},
+        "ten ASLO": {"count": 10},
+    }.items():
+        start = time.perf_counter()
+        jax.block_until_ready(work.aslo_run("fused", tiny, 1, **choice))
+        found[name] = time.perf_counter() - start
+    return found
+
+
+def headline(folder: str) -> dict[str, Any]:
+    import diffrax
+    import jax
+    import numpy as np
+
+    from . import motor_loop as work, timing
+    from .by_hand import ByHand, solve_ivp
+
+    batch = jax.tree.map(np.asarray, work.samples(LANES))
+    few = jax.tree.map(lambda x: x[:FEW], batch)
+    threads = timing.processors()
+    hand = ByHand(folder) if ByHand.available() else None
+
+    rows: list[dict[str, Any]] = []
+    for noisy in (False, True):
+        exact = work.exact(few, STEPS, noisy)
+        fast = {}
+        for n in sorted({threads, 1}, reverse=True):
+            fast["fused", n, 0] = work.sampled("fused", batch, STEPS, n, noisy=noisy)
+            if hand is not None:
+                for blocks in hand.blocks:
+                    fast["C", n, blocks] = hand.sampled(blocks, batch, STEPS, n, noisy)
+        seconds, values = timing.interleaved(fast, RUNS)
+        for engine, n in dict.fromkeys(key[:2] for key in fast):
+            # Of C the fastest number of interleaved vectors.
+            second, key = min((seconds[k], k) for k in fast if k[:2] == (engine, n))
+            found = row(engine, noisy, second, LANES, values[key], exact, n)
+            if engine == "C":
+                assert hand is not None
+                found["operations"] = hand.operations(noisy)
+                difference = np.abs(values[key] - values["fused", n, 0])
+                found["agreement"] = float(difference.max())
+            else:
+                found["operations"] = work.operations(noisy=noisy)
+            rows.append(found)
+        slow = {"scan": work.sampled("scan", batch, STEPS, noisy=noisy)}
+        seconds, values = timing.interleaved(slow, SLOW_RUNS)
+        rows.append(
+            row("scan", noisy, seconds["scan"], LANES, values["scan"], exact, threads)
+        )
+
+    exact = work.continuous(few, STEPS, diffrax.Dopri8(), 1e-12)()
+    fixed = f"diffrax, {1e3 * work.INTERVAL:g} ms"
+    peers = {
+        fixed: (work.continuous(batch, STEPS), LANES),
+        "diffrax": (work.continuous(batch, STEPS, tolerance=TOLERANCE), LANES),
+        "SciPy RK45": (solve_ivp(few, STEPS, FEW, "RK45", TOLERANCE), FEW),
+        "SciPy DOP853": (solve_ivp(few, STEPS, FEW, "DOP853", TOLERANCE), FEW),
+    }
+    seconds, values = timing.interleaved({n: p[0] for n, p in peers.items()}, SLOW_RUNS)
+    for name, (_, lanes) in peers.items():
+        rows.append(row(name, False, seconds[name], lanes, values[name], exact, threads))
+    return {"rows": rows, "threads": threads, "load before scaling": timing.load()}
+
+
+def row(engine, noisy, seconds, lanes, value, exact, threads) -> dict[str, Any]:
+    """The figures of one contender: its speed in million steps of a trajectory per second,
+    and the largest errors of the first trajectories at the end."""
+    import numpy as np
+
+    error = np.abs(np.asarray(value)[:FEW] - np.asarray(exact)).max(axis=(0, 2))
+    return {
+        "engine": engine,
+        "noisy": noisy,
+        "threads": threads,
+        "seconds": seconds,
+        "lanes": lanes,
+        "speed": lanes * STEPS / seconds / 1e6,
+        "errors": error.tolist(),
+    }
+
+
+# ---- the report ----------------------------------------------------------------------
+
+
+def speed(
+    figures: dict[str, Any], engine: str, noisy: bool = False, threads: int | None = None
+) -> float:
+    """Of the fastest contender whose name starts with `engine`, or not a number."""
+    threads = figures["threads"] if threads is None else threads
+    found = [
+        r["speed"]
+        for r in figures["rows"]
+        if r["engine"].startswith(engine) and (r["noisy"], r["threads"]) == (noisy, threads)
+    ]
+    return max(found, default=float("nan"))
+
+
+def report(figures: dict[str, Any]) -> list[str]:
+    """Print the table of the headline; return what does not hold."""
+    print(
+        f"PMSM, field-oriented control, ASLO and A-ASLO: {LANES:,} trajectories of "
+        f"{STEPS:,} steps of 0.1 ms, float64\n(SciPy: one process, {FEW} trajectories, "
+        f"extrapolated); medians of {RUNS} rounds in turn, {SLOW_RUNS} of the slow ones; "
+        f"{figures['load before scaling']}"
+    )
+    print(
+        f"  {'':<16}{'noise':>6}{'threads':>9}{'M steps/s':>11}{'fused /':>9}{'ops':>6}"
+        f"{'G ops/s/core':>14}   errors: {'flux':>8}{'ASLO':>9}{'A-ASLO':>9}"
+    )
+    for r in figures["rows"]:
+        n = 1 if r["engine"].startswith("SciPy") else r["threads"]
+        ratio = speed(figures, "fused", r["noisy"], r["threads"]) / r["speed"]
+        operations = r.get("operations")
+        rate = f"{operations * r['speed'] / 1e3 / n:.1f}" if operations else ""
+        errors = "".join(f"{e:9.1e}" for e in r["errors"])
+        print(
+            f"  {r['engine']:<16}{'yes' if r['noisy'] else 'no':>6}{n:>9}"
+            f"{r['speed']:>11.3f}{ratio:>9.4g}{operations or '':>6}{rate:>14}"
+            f"{'':>10}{errors}"
+        )
+    print(
+        f"  Errors (Wb) at the end, largest of {FEW} trajectories, against Dopri8 "
+        "at 1e-12: of the sampled loops\n  (fused, scan, C) over every interval, the "
+        "voltage held; of the others over the loop in continuous time,\n  with "
+        f"adaptive steps at {TOLERANCE:g} but for the row with an interval. Operations: "
+        "of fused, those of its graph; of C,\n  the vector instructions of its loop. A "
+        "product with a sum counts as two."
+    )
+    failures = []
+    for noisy, bound in ((False, OVER_C), (True, OVER_C_NOISY)):
+        check(
+            failures,
+            speed(figures, "fused", noisy) / speed(figures, "C", noisy),
+            bound,
+            "fused / C" + (" with noise" if noisy else ""),
+        )
+        one = speed(figures, "fused", noisy, 1) / speed(figures, "C", noisy, 1)
+        if one == one:
+            print(f"    with one thread each  {one:>9.4g}")
+    fused = speed(figures, "fused")
+    check(failures, fused / speed(figures, "diffrax"), OVER_DIFFRAX, "fused / diffrax")
+    check(failures, fused / speed(figures, "SciPy"), OVER_SCIPY, "fused / SciPy")
+    for r in figures["rows"]:
+        if r.get("agreement", 0.0) > AGREEMENT:
+            failures.append(f"C and fused differ by {r['agreement']:.1e} Wb.")
+    return failures
+
+
+def check(failures: list[str], value: float, bound: float, what: str) -> None:
+    """Print a ratio beside its bound; not a number means not measured."""
+    if value != value:
+        print(f"  {what}: not measured, since there is no gcc")
+        return
+    print(f"  {what:<24}{value:>9.4g}   (at least {bound:g})")
+    if value < bound:
+        failures.append(f"{what} is {value:.3g}, less than {bound:g}.")
+
+
+def main(quick: bool = False) -> list[str]:
+    """Print the tables, write `pmsm.json` and `pmsm.png`; return what does not hold."""
+    root = Path(__file__).parents[1]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "figures.json"
+        command = [sys.executable, "-m", "benchmarks.pmsm", str(path)]
+        # Threads of OpenMP that wait should not spin where others have work.
+        environment = os.environ | {"OMP_WAIT_POLICY": "passive"}
+        command.append("quick" if quick else "full")
+        subprocess.run(command, check=True, cwd=root, env=environment)
+        figures = json.loads(path.read_text())
+    from . import engines
+
+    failures = report(figures) + engines.report(figures)
+    Path("pmsm.json").write_text(json.dumps(figures, indent=2) + "\n")
+    engines.plot(figures, "pmsm.png")
+    fused = speed(figures, "fused")
+    over = {n: fused / speed(figures, s) for n, s in PEERS.items()}
+    written = {n: f"{r:.0f}" if r >= 100.0 else f"{r:.3g}" for n, r in over.items()}
+    print("  ".join(f"fused/{name} {ratio}" for name, ratio in written.items()))
+    return failures
+
+
+PEERS = {"C": "C", "diffrax": "diffrax", "scipy": "SciPy"}
+
+if __name__ == "__main__":
+    contend(*sys.argv[1:])
