@@ -21,6 +21,15 @@ class MechanicalFeedback(eqx.Module):
     velocity: Float[Array, " n"]
 
 
+def _motion(
+    reference: Callable[[Float[Array, ""]], Array], t: Float[Array, ""]
+) -> tuple[Array, Array, Array]:
+    """What `reference` asks for at t, and its first two derivatives."""
+    rate = lambda t: jax.jvp(lambda t: jnp.asarray(reference(t)), (t,), (jnp.ones_like(t),))
+    (wanted, speed), (_, acceleration) = jax.jvp(rate, (t,), (jnp.ones_like(t),))
+    return wanted, speed, acceleration
+
+
 class Tracking(AbstractController):
     """Partial feedback linearisation: as many coordinates as there are inputs follow
     `reference`, `e'' + 2 w e' + w^2 e = 0`, whatever the others do.
@@ -49,10 +58,7 @@ class Tracking(AbstractController):
 
     def __call__(self, t, state, fed):
         del state
-        reference = lambda t: jnp.asarray(self.reference(t))
-        rate = lambda t: jax.jvp(reference, (t,), (jnp.ones_like(t),))
-        (wanted, speed), (_, acceleration) = jax.jvp(rate, (t,), (jnp.ones_like(t),))
-        return self.force(fed, wanted, speed, acceleration)
+        return self.force(fed, *_motion(self.reference, t))
 
     def force(
         self,
@@ -106,8 +112,7 @@ class BallBeamTracking(AbstractController):
 
     def __call__(self, t, state, fed):
         del state
-        rate = lambda t: jax.jvp(self.reference, (t,), (jnp.ones_like(t),))
-        (wanted, speed), (_, acceleration) = jax.jvp(rate, (t,), (jnp.ones_like(t),))
+        wanted, speed, acceleration = _motion(self.reference, t)
         w = self.bandwidth
         q, velocity = fed.position, fed.velocity
         target = acceleration + 2.0 * w * (speed - velocity[0]) + w * w * (wanted - q[0])

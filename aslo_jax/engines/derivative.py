@@ -24,14 +24,13 @@ class Derivative:
         plan: Plan,
         tree: Any,
         sample: list[jax.ShapeDtypeStruct],
+        state: PyTree,
         values: tuple[Program, Program],
         moved: list[int],
     ):
         self.plan, self.tree, self.sample, self.moved = plan, tree, sample, moved
-        self.state, _ = jax.eval_shape(
-            lambda leaves: plan.first(self._made(leaves)), sample
-        )
-        self.state_leaves, self.state_tree = jax.tree.flatten(self.state)
+        self.state = state
+        self.state_leaves, self.state_tree = jax.tree.flatten(state)
         self.carried = self._moving_state(*values)
         self._traced = tuple(
             trace(body, self._pair(()), {"lane": self._lane(())})

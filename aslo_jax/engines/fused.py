@@ -13,9 +13,8 @@ from .derivative import Derivative, is_real
 from .plan import Batch, Plan, joined
 from .program import Program
 
-WIDTH = (
-    32  # lanes that a kernel advances at a time: always, so that bits do not depend on it
-)
+# Lanes that a kernel advances at a time: always as many, so that no bits depend on it.
+WIDTH = 32
 
 
 class Fused:
@@ -36,7 +35,6 @@ class Fused:
         self.threads = threads
         leaves, self.tree = jax.tree.flatten(samples)
         self.sample = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in leaves]
-        self.real = [bool(jnp.issubdtype(x.dtype, jnp.floating)) for x in leaves]
         self.state, out = jax.eval_shape(
             lambda leaves: plan.first(self._made(leaves)), self.sample
         )
@@ -121,11 +119,13 @@ class Fused:
             moved = [
                 k
                 for k, rate in enumerate(rates)
-                if self.real[k] and not isinstance(rate, SymbolicZero)
+                if is_real(self.sample[k]) and not isinstance(rate, SymbolicZero)
             ]
             out = run(leaves)
             rates = [rates[k] for k in moved]
-            push = Derivative(self.plan, self.tree, self.sample, self._loops(), moved)
+            push = Derivative(
+                self.plan, self.tree, self.sample, self.state, self._loops(), moved
+            )
             tangent = jax.pure_callback(
                 lambda leaves, rates: self._rates(leaves, push, rates),
                 self._float_shapes(),
