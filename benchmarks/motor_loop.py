@@ -186,15 +186,12 @@ def continuous(batch, steps: int, solver=None, tolerance: float | None = None):
 
 
 def operations(**choice: Any) -> int:
-    """Of one step of one trajectory in the graph of the fused engine, a product with a sum
-    counted as two."""
+    """Of one step of one trajectory in the graph of the fused engine, what all
+    lanes share not counted, a product with a sum counted as two."""
     from aslo_jax.engines.fused import Fused
     from aslo_jax.engines.plan import Plan
 
     batch = jax.tree.map(jnp.asarray, samples(1))
     plan = Plan(lambda sample: make(sample, **choice), {}, keep)
-    _, advance = Fused(plan, batch, 1, 1, 1, 1)._loops()
-    graph = advance.loop.graph
-    needed = graph.reachable(list(advance.loop.carry))
-    fused = sum(graph.nodes[number].op == "fma" for number in needed)
-    return advance.operations + fused
+    like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), batch)
+    return Fused(plan, like, 1, 1, 1).program.operations

@@ -7,7 +7,7 @@ import pytest
 import scipy.special
 
 from aslo_jax.engines.elementary import ULP
-from aslo_jax.engines.program import Program
+from aslo_jax.engines.program import Bodies, Program
 
 pytest.importorskip("llvmlite")
 N = 20_000
@@ -65,10 +65,13 @@ PAIRS = {
 def evaluate(function, *arguments):
     """By the engine, one lane for each entry."""
     kinds = tuple(jax.ShapeDtypeStruct((), x.dtype) for x in arguments)
-    body = lambda k, carry, shared, lane, log, lane_log: ((), function(*lane))
-    program = Program.of(body, (), {"lane": kinds}, 32)
-    _, found = program((), {"lane": arguments}, arguments[0].size, 1)
-    return found[:, 0]
+    bodies = Bodies(
+        lambda inputs: ((), None),
+        lambda k, carry, inputs: ((), None),
+        lambda carry, inputs: function(*inputs["lane"]),
+    )
+    program = Program.of(bodies, {"lane": kinds}, 32)
+    return program({"lane": arguments}, arguments[0].size, 1)[1]
 
 
 def errors(found, expected):

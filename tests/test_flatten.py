@@ -11,7 +11,7 @@ import pytest
 import aslo_jax as aslo
 from aslo_jax.engines import NotFusible
 from aslo_jax.engines.graph import Graph
-from aslo_jax.engines.program import Program
+from aslo_jax.engines.program import Bodies, Program
 
 pytest.importorskip("llvmlite")
 A = jnp.arange(12.0).reshape(3, 4) / 7 - 0.6
@@ -22,10 +22,14 @@ V = jnp.array([0.3, -1.2, 2.0, 0.7])
 def fused(function, *arguments):
     """The function on one lane."""
     kinds = tuple(jax.ShapeDtypeStruct(x.shape, x.dtype) for x in arguments)
-    body = lambda k, carry, shared, lane, log, lane_log: ((), function(*lane))
-    program = Program.of(body, (), {"lane": kinds}, 8)
-    _, found = program((), {"lane": tuple(x[None] for x in arguments)}, 1, 1)
-    return jax.tree.map(lambda x: x[0, 0], found)
+    bodies = Bodies(
+        lambda inputs: ((), None),
+        lambda k, carry, inputs: ((), None),
+        lambda carry, inputs: function(*inputs["lane"]),
+    )
+    program = Program.of(bodies, {"lane": kinds}, 8)
+    _, found = program({"lane": tuple(x[None] for x in arguments)}, 1, 1)
+    return jax.tree.map(lambda x: x[0], found)
 
 
 def rolled(x):
@@ -147,10 +151,14 @@ def test_equal_operations_are_kept_once_and_constants_folded():
 
 
 def test_dead_code_is_left_out():
-    def body(k, carry, shared, lane, log, lane_log):
-        unused = jnp.exp(jnp.sin(lane) ** 2)
+    def advance(k, carry, inputs):
+        unused = jnp.exp(jnp.sin(carry) ** 2)
         del unused
-        return (), lane + 1.0
+        return carry + inputs["lane"] ** 3, None
 
+    bodies = Bodies(lambda i: (i["lane"], None), advance, lambda carry, i: carry)
     kind = jax.ShapeDtypeStruct((), np.float64)
-    assert Program.of(body, (), {"lane": kind}, 8).operations == 1
+    program = Program.of(bodies, {"lane": kind}, 8)
+    assert program.operations == 1  # the cube is computed once, before the loop
+    _, found = program({"lane": np.array([2.0, -1.0])}, 2, 5)
+    np.testing.assert_array_equal(found, [42.0, -6.0])

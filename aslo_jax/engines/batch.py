@@ -13,7 +13,7 @@ from ..experiment import Experiment, Record
 from ..metrics import AbstractMetric
 from .flatten import NotFusible
 from .fused import Fused
-from .plan import Batch as Batch, Plan, joined
+from .plan import Batch as Batch, Plan
 
 
 def run_batch(
@@ -56,12 +56,13 @@ def run_batch(
             f'Argument `engine` must be "auto", "fused" or "scan", but got {engine!r}.'
         )
     samples = jax.tree.map(jnp.asarray, samples)
-    lanes = _lanes(samples)
+    _lanes(samples)
     plan = Plan(make, dict(metrics or {}), record)
     if engine == "scan":
         return _scanned(plan, samples, steps, every)
     try:
-        return Fused(plan, samples, lanes, steps, every, threads)(samples)
+        like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), samples)
+        return Fused(plan, like, steps, every, threads)(samples)
     except (NotFusible, ImportError) as error:
         if engine == "fused":
             raise
@@ -82,7 +83,7 @@ def _lanes(samples: PyTree) -> int:
 @eqx.filter_jit
 def _scanned(plan: Plan, samples: PyTree, steps: int, every: int) -> Batch:
     def one(sample):
-        state, (first, _) = plan.first(sample)
+        state, first = plan.first(sample)
         prepared = plan.prepared(sample)
 
         def block(state, k):
@@ -92,8 +93,8 @@ def _scanned(plan: Plan, samples: PyTree, steps: int, every: int) -> Batch:
             state = jax.lax.fori_loop(0, every - 1, quiet, state)
             return plan.step(k + every - 1, state, sample, prepared)
 
-        _, (rest, results) = jax.lax.scan(block, state, jnp.arange(0, steps, every))
-        last = jax.tree.map(lambda x: x[-1], results)
-        return Batch(last, joined(first, rest, 0, jnp))
+        state, rest = jax.lax.scan(block, state, jnp.arange(0, steps, every))
+        join = lambda a, b: jnp.concatenate([a[None], b])
+        return Batch(plan.results(state), jax.tree.map(join, first, rest))
 
     return jax.vmap(one)(samples)

@@ -1,23 +1,29 @@
-"""Which outputs of a loop may depend on which of its inputs."""
+"""Which entries of the carry of a loop may depend on which of its inputs."""
 
-import numpy as np
-
-from .emit import Loop
+from .loop import Loop
 
 CUT = {"eq", "ne", "lt", "le", "gt", "ge"}  # whose results have no derivative
 
 
-def depends(loop: Loop, sources: set[tuple[str, int]]) -> np.ndarray:
-    """For every entry of the carry, whether it may change smoothly with `sources`, slots of
+def depends(loop: Loop, sources: set[tuple[str, int]]) -> set[int]:
+    """The places in the carry whose value may change smoothly with `sources`, slots of
     inputs."""
-    moving: dict[int, bool] = {}
-    for number in loop.graph.reachable(list(loop.carry)):
-        node = loop.graph.nodes[number]
-        if node.op == "input":
-            moving[number] = node.data in sources
-        elif node.op in CUT:
-            moving[number] = False
-        else:
-            args = node.args[1:] if node.op == "select" else node.args
-            moving[number] = any(moving[a] for a in args)
-    return np.array([moving[n] for n in loop.carry], bool)
+    order = loop.graph.reachable([*loop.begin, *loop.carry])
+    carried: set[int] = set()
+    while True:
+        moving: dict[int, bool] = {}
+        for number in order:
+            node = loop.graph.nodes[number]
+            if node.op == "input":
+                kind, i = node.data
+                moving[number] = i in carried if kind == "carry" else node.data in sources
+            elif node.op in CUT:
+                moving[number] = False
+            else:
+                args = node.args[1:] if node.op == "select" else node.args
+                moving[number] = any(moving[a] for a in args)
+        pairs = enumerate(zip(loop.begin, loop.carry, strict=True))
+        more = {i for i, pair in pairs if any(moving[n] for n in pair)}
+        if more == carried:
+            return carried
+        carried = more

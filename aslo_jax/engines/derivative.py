@@ -10,63 +10,46 @@ from jaxtyping import PyTree
 
 from .dependence import depends
 from .flatten import flatten
+from .loop import Loop
 from .plan import Plan
-from .program import Program, Traced, numbered, trace
+from .program import Bodies, Inputs, Program, flat, trace
 
 
 class Derivative:
-    """The derivative of a plan's loops in the leaves `moved` of a sample, one direction of
-    which is traced. `loops` puts several directions beside one run of the values: equal
-    operations are kept once in a graph, and so the values are."""
+    """The derivative of a plan's loop, whose program of `values` is given, in the leaves
+    `moved` of a sample. One direction is traced; `program` puts several beside one run of
+    the values: equal operations are kept once in a graph, and so the values are."""
 
     def __init__(
         self,
         plan: Plan,
-        tree: Any,
+        made: Callable[[list[Any]], PyTree],
         sample: list[jax.ShapeDtypeStruct],
-        state: PyTree,
-        values: tuple[Program, Program],
+        values: Program,
         moved: list[int],
     ):
-        self.plan, self.tree, self.sample, self.moved = plan, tree, sample, moved
-        self.state = state
+        self.plan, self.made, self.sample, self.moved = plan, made, sample, moved
+        state = jax.eval_shape(lambda leaves: plan.first(made(leaves))[0], sample)
         self.state_leaves, self.state_tree = jax.tree.flatten(state)
-        self.carried = self._moving_state(*values)
-        self._traced = tuple(
-            trace(body, self._pair(()), {"lane": self._lane(())})
-            for body in (self._begin, self._advance)
-        )
-        self._loops: dict[int, tuple[PyTree, Program, Program]] = {}
+        self.carried = self._moving_state(values.raw)
+        bodies = Bodies(self._begin, self._advance, self._finish)
+        self._traced = trace(bodies, {"lane": self._lane(())})
+        self._programs: dict[int, Program] = {}
 
-    def loops(self, directions: int, width: int) -> tuple[PyTree, Program, Program]:
-        """Shapes of the state, that with the tangents of its leaves that move, and the
-        loops over it that begin and advance it."""
-        if directions not in self._loops:
-            state = self._pair((directions,))
-            begin, advance = (self._program(t, directions, width) for t in self._traced)
-            self._loops[directions] = (state, begin, advance)
-        return self._loops[directions]
-
-    def _made(self, leaves: list[Any]) -> PyTree:
-        return jax.tree.unflatten(self.tree, leaves)
-
-    def _pair(self, lead: tuple[int, ...]) -> tuple[PyTree, list[jax.ShapeDtypeStruct]]:
-        return self.state, [_wide(self.state_leaves[j], lead) for j in self.carried]
+    def program(self, directions: int, width: int) -> Program:
+        """The loop of values and tangents, which returns the tangents of real results."""
+        if directions not in self._programs:
+            self._programs[directions] = self._beside(directions, width)
+        return self._programs[directions]
 
     def _lane(self, lead: tuple[int, ...]) -> tuple[list, list[jax.ShapeDtypeStruct]]:
         return self.sample, [_wide(self.sample[k], lead) for k in self.moved]
 
-    def _moving_state(self, begin: Program, advance: Program) -> list[int]:
+    def _moving_state(self, loop: Loop) -> list[int]:
         """The real leaves of the state that may depend on the moved leaves of a sample."""
         edges = _edges(self.sample)
         lanes = {("lane", i) for k in self.moved for i in range(edges[k], edges[k + 1])}
-        carried = set(np.flatnonzero(depends(begin.loop, lanes)).tolist())
-        while True:
-            sources = lanes | {("carry", i) for i in carried}
-            more = carried | set(np.flatnonzero(depends(advance.loop, sources)).tolist())
-            if more == carried:
-                break
-            carried = more
+        carried = depends(loop, lanes)
         edges = _edges(self.state_leaves)
         return [
             j
@@ -76,20 +59,20 @@ class Derivative:
 
     # -- one direction -------------------------------------------------------------------
 
-    def _begin(self, k, pair, shared, lane, log, lane_log):
-        sample, rates = lane
+    def _begin(self, inputs):
+        sample, rates = inputs["lane"]
 
         def run(inner):
-            return self.plan.first(self._made(_placed(sample, self.moved, inner)))
+            return self.plan.first(self.made(_placed(sample, self.moved, inner)))
 
         return self._pushed(run, [sample[k] for k in self.moved], rates)
 
-    def _advance(self, k, pair, shared, lane, log, lane_log):
-        (state, state_rates), (sample, rates) = pair, lane
+    def _advance(self, k, pair, inputs):
+        (state, state_rates), (sample, rates) = pair, inputs["lane"]
         old, count = jax.tree.leaves(state), len(self.carried)
 
         def run(inner):
-            made = self._made(_placed(sample, self.moved, inner[count:]))
+            made = self.made(_placed(sample, self.moved, inner[count:]))
             leaves = _placed(old, self.carried, inner[:count])
             state = jax.tree.unflatten(self.state_tree, leaves)
             return self.plan.step(k, state, made, self.plan.prepared(made))
@@ -97,36 +80,63 @@ class Derivative:
         point = [*(old[j] for j in self.carried), *(sample[k] for k in self.moved)]
         return self._pushed(run, point, [*state_rates, *rates])
 
+    def _finish(self, pair, inputs):
+        state, rates = pair
+        old = jax.tree.leaves(state)
+
+        def run(inner):
+            leaves = _placed(old, self.carried, inner)
+            return self.plan.results(jax.tree.unflatten(self.state_tree, leaves))
+
+        out, rate = jax.jvp(run, ([old[j] for j in self.carried],), (rates,))
+        return _of_real(rate, out)
+
     def _pushed(self, run: Callable, point: list[Any], rates: list[Any]):
-        """The next values and tangents, and the tangents of the real results."""
-        (state, out), (state_rate, rate) = jax.jvp(run, (point,), (rates,))
+        """The next values and tangents, and the tangents of what is kept."""
+        (state, kept), (state_rate, rate) = jax.jvp(run, (point,), (rates,))
         moving = [jax.tree.leaves(state_rate)[j] for j in self.carried]
-        kept = [
-            [r for r, x in zip(*map(jax.tree.leaves, pair), strict=True) if is_real(x)]
-            for pair in zip(rate, out, strict=True)
-        ]
-        return (state, moving), tuple(kept)
+        return (state, moving), _of_real(rate, kept)
 
     # -- several ones --------------------------------------------------------------------
 
-    def _program(self, traced: Traced, directions: int, width: int) -> Program:
-        pair = self._pair((directions,))
-        graph, numbers = numbered(pair, {"lane": self._lane((directions,))})
+    def _beside(self, directions: int, width: int) -> Program:
+        traced, lead = self._traced, (directions,)
+        tangents = [_wide(self.state_leaves[j], lead) for j in self.carried]
+        carry = (self.state_leaves, tangents)
+        given = Inputs(carry, {"lane": self._lane(lead)})
         size, samples = len(self.state_leaves), len(self.sample)
-        carry, lane = numbers["carry"], numbers["lane"]
-        outs = []
+        count = size + len(self.carried)
+
+        def of_direction(numbers: list[np.ndarray], shared: int, d: int):
+            return [*numbers[:shared], *(np.asarray(r[d]) for r in numbers[shared:])]
+
+        outs: list[list[list[np.ndarray]]] = [[], [], []]
         for d in range(directions):
-            arguments = [
-                *numbers["step"],
-                *carry[:size],
-                *(np.asarray(rate[d]) for rate in carry[size:]),
-                *lane[:samples],
-                *(np.asarray(rate[d]) for rate in lane[samples:]),
-            ]
-            outs.append(flatten(graph, traced.closed, arguments))
-        wide = [np.stack(each) for each in zip(*(out[size:] for out in outs), strict=True)]
-        record = jax.tree.map(lambda s: _wide(s, (directions,)), traced.record)
-        return Program(graph, pair, record, [*outs[0][:size], *wide], width)
+            state = of_direction(given.carry, size, d)
+            lane = of_direction(given.fixed, samples, d)
+            arguments = lane, [given.step, *state, *lane], [*state, *lane]
+            jaxprs = traced.begin, traced.advance, traced.finish
+            for out, closed, inputs in zip(outs, jaxprs, arguments, strict=True):
+                out.append(flatten(given.graph, closed, inputs))
+
+        def together(out: list[list[np.ndarray]], shared: int) -> list[np.ndarray]:
+            wide = [np.stack(r) for r in zip(*(one[shared:] for one in out), strict=True)]
+            return [*out[0][:shared], *wide]
+
+        begin, advance = together(outs[0], size), together(outs[1], size)
+        parts = begin[:count], advance[:count], advance[count:], begin[count:]
+        loop = Loop(given.graph, *map(flat, (*parts, together(outs[2], 0))))
+        record, final = (
+            jax.tree.map(lambda s: _wide(s, lead), tree)
+            for tree in (traced.record, traced.final)
+        )
+        return Program(loop, record, final, width)
+
+
+def _of_real(rate: PyTree, value: PyTree) -> list[Any]:
+    """The tangents of the leaves that are real numbers."""
+    pairs = zip(jax.tree.leaves(rate), jax.tree.leaves(value), strict=True)
+    return [r for r, x in pairs if is_real(x)]
 
 
 def _wide(s: jax.ShapeDtypeStruct, lead: tuple[int, ...]) -> jax.ShapeDtypeStruct:

@@ -1,54 +1,20 @@
 """From a graph to LLVM's intermediate representation: one function that advances many
 lanes through many steps, its vectors explicit."""
 
-import dataclasses
 from collections.abc import Iterable
 
 import numpy as np
 
-from .graph import Graph, Node
 from .instructions import SHIFTS, Writer
-
-Slot = tuple[str, int]
-
-
-@dataclasses.dataclass(frozen=True)
-class Loop:
-    """What a kernel computes: nodes of `graph`, whose inputs have the slots
-
-    - `("step", 0)`: the time index, int64;
-    - `("shared", i)`, `("lane", i)`: constant in time, one value for all lanes or one each;
-    - `("log", i)`, `("lane log", i)`: the same, with one entry for each step;
-    - `("carry", i)`: the i-th of `carry`, which holds the nodes of the next values.
-
-    `record` holds the nodes that are written at every so manyth step.
-    """
-
-    graph: Graph
-    carry: tuple[int, ...]
-    record: tuple[int, ...]
-
-
-def slots(loop: Loop) -> list[Slot]:
-    """The pointers that the kernel takes, in their order: every input that is used but
-    the step, all of the carry, and the records."""
-    graph = loop.graph
-    used = {
-        graph.nodes[n].data
-        for n in graph.reachable([*loop.carry, *loop.record])
-        if graph.nodes[n].op == "input"
-    }
-    inputs = sorted(s for s in used if s[0] not in ("carry", "step"))
-    carry = [("carry", i) for i in range(len(loop.carry))]
-    return [*inputs, *carry, *(("record", i) for i in range(len(loop.record)))]
+from .loop import Loop, Slot
 
 
 def emit(loop: Loop, width: int) -> str:
     """The kernel's text, for `width` lanes at a time: `void kernel(i64 first, i64 last, i64
-    lanes, i64 start, i64 steps, i64 every, ptr table)`.
+    lanes, i64 steps, i64 every, ptr table)`.
 
-    It advances the lanes first to last - 1 of `lanes` (multiples of width) by `steps` steps
-    from the time index `start`. `table` holds one pointer for each of [`slots`][].
+    It runs the lanes first to last - 1 of `lanes` (multiples of width) through `steps`
+    steps. `table` holds one pointer for each of the loop's slots.
     """
     return _Kernel(loop, width).text()
 
@@ -60,21 +26,15 @@ class _Kernel(Writer):
         self.scalars: dict[int, str] = {}
         self.vectors: dict[int, str] = {}
         self.varies: dict[int, tuple[bool, bool]] = {}  # over time, over lanes
-        for number in self.graph.reachable([*loop.carry, *loop.record]):
-            self.varies[number] = self._varies(self.graph.nodes[number])
+        for number in loop.needed():
+            node = self.graph.nodes[number]
+            self.varies[number] = node.varies([self.varies[a] for a in node.args])
         self.inputs: dict[Slot, int] = {
             self.graph.nodes[n].data: n
             for n in self.varies
             if self.graph.nodes[n].op == "input"
         }
         self.carried = [self.graph.dtype(n) for n in loop.carry]
-
-    def _varies(self, node: Node) -> tuple[bool, bool]:
-        if node.op == "input":
-            kind = node.data[0]
-            return kind not in ("shared", "lane"), kind in ("lane", "lane log", "carry")
-        found = [self.varies[a] for a in node.args]
-        return any(time for time, _ in found), any(lane for _, lane in found)
 
     def operand(self, number: int, vector: bool) -> str:
         node = self.graph.nodes[number]
@@ -105,15 +65,15 @@ class _Kernel(Writer):
     # -- blocks --------------------------------------------------------------------------
 
     def text(self) -> str:
-        in_loop = set(self.graph.reachable(list(self.loop.carry)))
-        moving = [n for n, (time, _) in self.varies.items() if time]
+        in_step = self.graph.reachable(list(self.loop.carry))
+        in_record = set(self.graph.reachable(list(self.loop.record))) - set(in_step)
         self._entry()
         self._begin()
-        self._advance([n for n in moving if n in in_loop])
-        self._record([n for n in moving if n not in in_loop])
-        self._finish()
+        self._advance(self._moving(in_step))
+        self._record(self._moving(sorted(in_record)))
+        self._finish(self._moving(self.graph.reachable(list(self.loop.final))))
         arguments = ", ".join(
-            f"i64 %{a}" for a in ("first", "last", "lanes", "start", "steps", "every")
+            f"i64 %{a}" for a in ("first", "last", "lanes", "steps", "every")
         )
         wide = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
         return "\n".join(
@@ -127,11 +87,14 @@ class _Kernel(Writer):
             ]
         )
 
+    def _moving(self, numbers: Iterable[int]) -> list[int]:
+        return [n for n in numbers if self.varies[n][0]]
+
     def _entry(self) -> None:
         """Once: pointers, and what varies over neither time nor lanes."""
         self.label("entry")
         self.pointers: dict[Slot, str] = {}
-        for k, slot in enumerate(slots(self.loop)):
+        for k, slot in enumerate(self.loop.slots()):
             place = self.define(f"getelementptr ptr, ptr %table, i64 {k}")
             self.pointers[slot] = self.define(f"load ptr, ptr {place}")
         self.buffers = [
@@ -146,7 +109,7 @@ class _Kernel(Writer):
         self.line("br label %block")
 
     def _begin(self) -> None:
-        """For each block of lanes: its state, and what varies over lanes only."""
+        """For each block of lanes: its first state, and what varies over lanes only."""
         self.label("block")
         self.line("%lane = phi i64 [ %first, %entry ], [ %next_lane, %finish ]")
         self.line("%begun = icmp slt i64 %lane, %last")
@@ -157,30 +120,39 @@ class _Kernel(Writer):
                 dtype = self.graph.dtype(number)
                 place = self.offset(self.pointers[slot], dtype, "%lane")
                 self.vectors[number] = self.load(place, dtype, True)
-        for i, dtype in enumerate(self.carried):
-            place = self.offset(self.pointers["carry", i], dtype, "%lane")
-            self.store(self.load(place, dtype, True), self.buffers[i], dtype)
         self.compute(n for n, varies in self.varies.items() if varies == (False, True))
+        self._keep(self.loop.begin)
+        if self.loop.first:
+            self._write("record", self.loop.first, "0")
         self.line("br label %time")
+
+    def _keep(self, numbers: tuple[int, ...]) -> None:
+        """The state of a block of lanes."""
+        values = [self.operand(n, True) for n in numbers]
+        for value, buffer, dtype in zip(values, self.buffers, self.carried, strict=True):
+            self.store(value, buffer, dtype)
+
+    def _write(self, kind: str, numbers: tuple[int, ...], row: str) -> None:
+        for i, number in enumerate(numbers):
+            value, dtype = self.operand(number, True), self.graph.dtype(number)
+            self.store(value, self._place(row, self.pointers[kind, i], dtype), dtype)
 
     def _advance(self, numbers: list[int]) -> None:
         """For each step: the next state."""
+        rows = 1 if self.loop.first else 0
         self.label("time")
-        self.line("%j = phi i64 [ 0, %begin ], [ %next_j, %advanced ]")
+        self.line("%k = phi i64 [ 0, %begin ], [ %next_k, %advanced ]")
         self.line("%left = phi i64 [ %every, %begin ], [ %next_left, %advanced ]")
-        self.line("%saved = phi i64 [ 0, %begin ], [ %next_saved, %advanced ]")
-        self.line("%running = icmp slt i64 %j, %steps")
+        self.line(f"%saved = phi i64 [ {rows}, %begin ], [ %next_saved, %advanced ]")
+        self.line("%running = icmp slt i64 %k, %steps")
         self.line("br i1 %running, label %advance, label %finish")
         self.label("advance")
         self.invariant = dict(self.vectors)  # a splat made in here is of no use after it
-        self.line("%k = add i64 %start, %j")
         for slot, number in self.inputs.items():
             self._read(slot, number)
         self.compute(numbers)
-        values = [self.operand(n, True) for n in self.loop.carry]
-        for value, buffer, dtype in zip(values, self.buffers, self.carried, strict=True):
-            self.store(value, buffer, dtype)
-        self.line("%next_j = add i64 %j, 1")
+        self._keep(self.loop.carry)
+        self.line("%next_k = add i64 %k, 1")
         self.line("%fewer = sub i64 %left, 1")
         self.line("%due = icmp eq i64 %fewer, 0")
         self.line("br i1 %due, label %record, label %advanced")
@@ -191,10 +163,10 @@ class _Kernel(Writer):
         if kind == "step":
             self.scalars[number] = "%k"
         elif kind == "log":
-            place = self.offset(self.pointers[slot], dtype, "%j")
+            place = self.offset(self.pointers[slot], dtype, "%k")
             self.scalars[number] = self.load(place, dtype, False)
         elif kind == "lane log":
-            place = self._place("%j", self.pointers[slot], dtype)
+            place = self._place("%k", self.pointers[slot], dtype)
             self.vectors[number] = self.load(place, dtype, True)
         elif kind == "carry":
             self.vectors[number] = self.load(self.buffers[i], dtype, True)
@@ -208,11 +180,7 @@ class _Kernel(Writer):
         """At every so manyth step: what only the records need, and the records."""
         self.label("record")
         self.compute(numbers)
-        for i, number in enumerate(self.loop.record):
-            dtype = self.graph.dtype(number)
-            value = self.operand(number, True)
-            place = self._place("%saved", self.pointers["record", i], dtype)
-            self.store(value, place, dtype)
+        self._write("record", self.loop.record, "%saved")
         self.line("%more_saved = add i64 %saved, 1")
         self.line("br label %advanced")
         self.vectors = self.invariant
@@ -221,13 +189,14 @@ class _Kernel(Writer):
         self.line("%next_saved = phi i64 [ %saved, %advance ], [ %more_saved, %record ]")
         self.line("br label %time")
 
-    def _finish(self) -> None:
-        """For each block of lanes: its last state."""
+    def _finish(self, numbers: list[int]) -> None:
+        """For each block of lanes: what its last state leaves."""
         self.label("finish")
-        for i, dtype in enumerate(self.carried):
-            value = self.load(self.buffers[i], dtype, True)
-            place = self.offset(self.pointers["carry", i], dtype, "%lane")
-            self.store(value, place, dtype)
+        for slot, number in self.inputs.items():
+            if slot[0] == "carry":
+                self._read(slot, number)
+        self.compute(numbers)
+        self._write("final", self.loop.final, "0")
         self.line(f"%next_lane = add i64 %lane, {self.width}")
         self.line("br label %block")
         self.label("done")

@@ -1,5 +1,6 @@
 """The fused engine: a batch as one compiled loop, differentiable in its samples."""
 
+import functools
 from typing import Any
 
 import jax
@@ -10,109 +11,88 @@ from jaxtyping import PyTree
 
 from .._checks import is_concrete
 from .derivative import Derivative, is_real
-from .plan import Batch, Plan, joined
-from .program import Program
+from .plan import Batch, Plan
+from .program import Bodies, Program
 
 # Lanes that a kernel advances at a time: always as many, so that no bits depend on it.
-WIDTH = 32
+WIDTH = 8
 
 
 class Fused:
-    """A batch of one plan. Called with samples, it runs; under a transformation of JAX it
-    becomes a callback with a derivative of its own, in forward mode: the tangents run in
-    the same loop as the values, all directions beside each other."""
+    """A batch of one plan, `like` the shapes of one of its samples. Called with samples, it
+    runs; under a transformation of JAX it becomes a callback with a derivative of its own,
+    in forward mode: the tangents run in the same loop as the values, all directions beside
+    each other."""
 
     def __init__(
-        self,
-        plan: Plan,
-        samples: PyTree,
-        lanes: int,
-        steps: int,
-        every: int,
-        threads: int | None,
+        self, plan: Plan, like: PyTree, steps: int, every: int, threads: int | None
     ):
-        self.plan, self.lanes, self.steps, self.every = plan, lanes, steps, every
-        self.threads = threads
-        leaves, self.tree = jax.tree.flatten(samples)
-        self.sample = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in leaves]
-        self.state, out = jax.eval_shape(
-            lambda leaves: plan.first(self._made(leaves)), self.sample
-        )
-        self.kept, self.results = out
-        self._programs: tuple[Program, Program] | None = None
+        self.plan, self.steps, self.every, self.threads = plan, steps, every, threads
+        self.sample, self.tree = jax.tree.flatten(like)
 
     def __call__(self, samples: PyTree) -> Batch:
         leaves = jax.tree.leaves(samples)
         if is_concrete(*leaves):
             return jax.tree.map(jnp.asarray, self._run(leaves))
-        self._loops()  # compiled here, since a callback should leave JAX alone
+        self.program  # noqa: B018  compiled here, since a callback should leave JAX alone
         return self._transformed(leaves)
 
-    def _made(self, leaves: list[Any]) -> PyTree:
+    def made(self, leaves: list[Any]) -> PyTree:
         return jax.tree.unflatten(self.tree, leaves)
 
     # -- values --------------------------------------------------------------------------
 
-    def _loops(self) -> tuple[Program, Program]:
-        if self._programs is None:
+    @functools.cached_property
+    def program(self) -> Program:
+        """The loop, compiled when it is first asked for."""
 
-            def begin(k, state, shared, sample, log, lane_log):
-                return self.plan.first(self._made(sample))
+        def advance(k, state, inputs):
+            sample = self.made(inputs["lane"])
+            return self.plan.step(k, state, sample, self.plan.prepared(sample))
 
-            def advance(k, state, shared, sample, log, lane_log):
-                made = self._made(sample)
-                return self.plan.step(k, state, made, self.plan.prepared(made))
-
-            inputs = {"lane": self.sample}
-            self._programs = (
-                Program.of(begin, self.state, inputs, WIDTH),
-                Program.of(advance, self.state, inputs, WIDTH),
-            )
-        return self._programs
+        bodies = Bodies(
+            lambda inputs: self.plan.first(self.made(inputs["lane"])),
+            advance,
+            lambda state, inputs: self.plan.results(state),
+        )
+        return Program.of(bodies, {"lane": self.sample}, WIDTH)
 
     def _run_with_rates(self, push: Derivative, leaves, rates, directions: int):
         """The tangents of the real results: an axis of lanes, one of directions, theirs."""
-        state, begin, advance = push.loops(directions, WIDTH)
-        inputs = {"lane": (leaves, rates)}
-        last, record = self._execute(begin, advance, state, inputs, len(leaves[0]))
-        return [*last, *(np.moveaxis(x, 2, 1) for x in record)]
-
-    def _execute(self, begin: Program, advance: Program, state, inputs, lanes):
-        """The last metrics and all records, axes of lanes first."""
-        zero = jax.tree.map(lambda s: np.zeros((lanes, *s.shape), s.dtype), state)
-        begun, (first, _) = begin(zero, inputs, lanes, 1, threads=self.threads)
-        settings = {"every": self.every, "threads": self.threads}
-        _, (rest, results) = advance(begun, inputs, lanes, self.steps, **settings)
-        first = jax.tree.map(lambda x: x[:, 0], first)
-        last = jax.tree.map(lambda x: x[:, -1], results)
-        return last, joined(first, rest, 1, np)
+        program = push.program(directions, WIDTH)
+        record, final = self._execute(program, {"lane": (leaves, rates)}, leaves[0])
+        return [*final, *(np.moveaxis(x, 2, 1) for x in record)]
 
     def _run(self, leaves: list[Any]) -> Batch:
         leaves = [np.asarray(x) for x in leaves]
-        inputs = {"lane": leaves}
-        return Batch(*self._execute(*self._loops(), self.state, inputs, len(leaves[0])))
+        record, final = self._execute(self.program, {"lane": leaves}, leaves[0])
+        return Batch(final, record)
+
+    def _execute(self, program: Program, inputs: PyTree, like: np.ndarray):
+        settings = {"every": self.every, "threads": self.threads}
+        return program(inputs, len(like), self.steps, **settings)
 
     # -- under transformations -----------------------------------------------------------
 
-    def _shapes(self, *lead: int) -> Batch:
-        """Of the results, with further leading axes."""
+    def _shapes(self, lanes: int) -> Batch:
+        """Of the results."""
 
-        def results(s):
-            return jax.ShapeDtypeStruct((*lead, self.lanes, *s.shape), s.dtype)
+        def wide(tree, *lead):
+            return jax.tree.map(
+                lambda s: jax.ShapeDtypeStruct((*lead, *s.shape), s.dtype), tree
+            )
 
-        def kept(s):
-            count = self.steps // self.every + 1
-            return jax.ShapeDtypeStruct((*lead, self.lanes, count, *s.shape), s.dtype)
-
-        return Batch(jax.tree.map(results, self.results), jax.tree.map(kept, self.kept))
+        rows = self.steps // self.every + 1
+        program = self.program
+        return Batch(wide(program.final, lanes), wide(program.record, lanes, rows))
 
     def _transformed(self, leaves: list[Any]) -> Batch:
+        shapes = self._shapes(leaves[0].shape[0])
+
         @jax.custom_jvp
         def run(leaves):
             method = "broadcast_all"
-            return jax.pure_callback(
-                self._batched, self._shapes(), leaves, vmap_method=method
-            )
+            return jax.pure_callback(self._batched, shapes, leaves, vmap_method=method)
 
         def derivative(primals, tangents):
             (leaves,), (rates,) = primals, tangents
@@ -123,12 +103,10 @@ class Fused:
             ]
             out = run(leaves)
             rates = [rates[k] for k in moved]
-            push = Derivative(
-                self.plan, self.tree, self.sample, self.state, self._loops(), moved
-            )
+            push = Derivative(self.plan, self.made, self.sample, self.program, moved)
             tangent = jax.pure_callback(
                 lambda leaves, rates: self._rates(leaves, push, rates),
-                self._float_shapes(),
+                [s for s in jax.tree.leaves(shapes) if is_real(s)],
                 leaves,
                 rates,
                 vmap_method="expand_dims",
@@ -138,16 +116,13 @@ class Fused:
         run.defjvp(derivative, symbolic_zeros=True)
         return run(leaves)
 
-    def _float_shapes(self) -> list[jax.ShapeDtypeStruct]:
-        return [s for s in jax.tree.leaves(self._shapes()) if is_real(s)]
-
     def _batched(self, leaves: list[Any]) -> Batch:
         """Runs leaves with further axes in front, as more lanes."""
         leaves = [np.asarray(x) for x in leaves]
         lead = leaves[0].shape[: leaves[0].ndim - 1 - len(self.sample[0].shape)]
         flat = [x.reshape(-1, *s.shape) for x, s in zip(leaves, self.sample, strict=True)]
         out = self._run(flat)
-        return jax.tree.map(lambda x: x.reshape(*lead, self.lanes, *x.shape[1:]), out)
+        return jax.tree.map(lambda x: x.reshape(*lead, -1, *x.shape[1:]), out)
 
     def _rates(self, leaves, push: Derivative, rates) -> list[np.ndarray]:
         """The tangents of the real results. Axes in front of size one in every leaf, and
@@ -160,16 +135,17 @@ class Fused:
         ahead = [a for a in range(extra) if fixed[a] == 1 < lead[a]]
         kept = [a for a in range(extra) if a not in ahead]
         directions = int(np.prod([lead[a] for a in ahead], dtype=int))
+        lanes = leaves[0].shape[extra]
         lanes_lead = [lead[a] for a in kept]
 
         def flat_leaf(x, s):
             x = np.squeeze(x, tuple(ahead))
-            return np.broadcast_to(x, (*lanes_lead, self.lanes, *s.shape)).reshape(
+            return np.broadcast_to(x, (*lanes_lead, lanes, *s.shape)).reshape(
                 -1, *s.shape
             )
 
         def flat_rate(x, s):
-            x = np.broadcast_to(x, (*lead, self.lanes, *s.shape))
+            x = np.broadcast_to(x, (*lead, lanes, *s.shape))
             x = np.transpose(x, (*kept, extra, *ahead, *range(extra + 1, x.ndim)))
             return x.reshape(-1, directions, *s.shape)
 
@@ -180,7 +156,7 @@ class Fused:
         out = []
         for leaf in self._run_with_rates(push, flat, moving, directions):
             # From lanes first and directions second to the order that was asked for.
-            shape = (*lanes_lead, self.lanes, *(lead[a] for a in ahead), *leaf.shape[2:])
+            shape = (*lanes_lead, lanes, *(lead[a] for a in ahead), *leaf.shape[2:])
             order = [
                 kept.index(a) if a in kept else len(kept) + 1 + ahead.index(a)
                 for a in range(extra)

@@ -16,6 +16,13 @@ class Node(NamedTuple):
     args: tuple[int, ...] = ()
     data: Any = None
 
+    def varies(self, args: list[tuple[bool, bool]]) -> tuple[bool, bool]:
+        """Whether it changes over time, and over lanes, as its arguments do."""
+        if self.op == "input":
+            kind = self.data[0]
+            return kind not in ("shared", "lane"), kind in ("lane", "lane log", "carry")
+        return any(time for time, _ in args), any(lane for _, lane in args)
+
 
 def _shift(operation):
     def fold(x, y):
@@ -131,6 +138,19 @@ class Graph:
         if value is not None:
             return self.const(np.asarray(value).view(dtype), dtype)
         return self._number(("bitcast", dtype, (x,)), Node("bitcast", dtype, (x,)))
+
+    def again(self, number: int, args: tuple[int, ...]) -> int:
+        """The operation of a node on other arguments, of the same types."""
+        node = self.nodes[number]
+        if args == node.args:
+            return number
+        if node.op == "select":
+            return self.select(*args)
+        if node.op == "fma":
+            return self.fma(*args)
+        if node.op in ("convert", "bitcast"):
+            return getattr(self, node.op)(args[0], node.dtype)
+        return self.op(node.op, *args)
 
     def _number(self, key: Any, node: Node) -> int:
         number = self._numbers.get(key)

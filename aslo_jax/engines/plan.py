@@ -25,7 +25,7 @@ class Batch(eqx.Module):
 
 class Plan(eqx.Module):
     """The loop of one sample: its state is the experiment's carry and that of the metrics,
-    its output what is kept of a record and the metrics up to now."""
+    its output what is kept of a record."""
 
     make: Callable[[PyTree], Experiment]
     metrics: dict[str, AbstractMetric]
@@ -33,9 +33,8 @@ class Plan(eqx.Module):
 
     def first(self, sample: PyTree) -> tuple[PyTree, PyTree]:
         carry, record = self.make(sample).init()
-        return self._out(
-            carry, {n: m.init(record) for n, m in self.metrics.items()}, record
-        )
+        metrics = {name: m.init(record) for name, m in self.metrics.items()}
+        return (carry, metrics), self._kept(record)
 
     def prepared(self, sample: PyTree) -> PyTree:
         """What depends on the sample only."""
@@ -49,15 +48,12 @@ class Plan(eqx.Module):
         carry, metrics = state
         carry, record = self.make(sample).advance(k, carry, prepared)
         metrics = {n: m.update(metrics[n], record) for n, m in self.metrics.items()}
-        return self._out(carry, metrics, record)
+        return (carry, metrics), self._kept(record)
 
-    def _out(self, carry: PyTree, metrics: PyTree, record: Record) -> tuple[PyTree, PyTree]:
-        kept = None if self.record is None else self.record(record)
-        results = {name: m.result(metrics[name]) for name, m in self.metrics.items()}
-        return (carry, metrics), (kept, results)
+    def results(self, state: PyTree) -> dict[str, PyTree]:
+        """The metrics, from the last state."""
+        _, metrics = state
+        return {name: m.result(metrics[name]) for name, m in self.metrics.items()}
 
-
-def joined(first: PyTree, rest: PyTree, axis: int, xp: Any) -> PyTree:
-    """The first sample and the rest, along the axis of the samples."""
-    join = lambda a, b: xp.concatenate([xp.expand_dims(a, axis), b], axis)
-    return jax.tree.map(join, first, rest)
+    def _kept(self, record: Record) -> PyTree:
+        return None if self.record is None else self.record(record)

@@ -13,49 +13,81 @@ import numpy as np
 from jaxtyping import PyTree
 
 from .._extras import require
-from .emit import Loop, emit, slots
+from .emit import emit
 from .flatten import flatten
 from .graph import Graph
-
-Body = Callable[[Any, PyTree, PyTree, PyTree, PyTree, PyTree], tuple[PyTree, PyTree]]
+from .loop import Loop
+from .reduce import reduced
 
 KINDS = ("shared", "lane", "log", "lane log")
 
 
+class Bodies(NamedTuple):
+    """What a loop does, as functions of trees of arrays:
+
+    - `begin(inputs) -> (carry, first)`;
+    - `advance(k, carry, inputs) -> (carry, record)`, for each step k;
+    - `finish(carry, inputs) -> final`.
+
+    `inputs` are trees by kind: `shared` by all lanes, one for each `lane`, one for each
+    step (`log`), or for both (`lane log`); only `advance` has the logs. `first` is a record
+    of what is before the first step, or None.
+    """
+
+    begin: Callable[[dict[str, PyTree]], tuple[PyTree, PyTree]]
+    advance: Callable[[Any, PyTree, dict[str, PyTree]], tuple[PyTree, PyTree]]
+    finish: Callable[[PyTree, dict[str, PyTree]], PyTree]
+
+
 class Traced(NamedTuple):
-    """A body as a closed jaxpr, and the trees of what it returns."""
+    """The bodies as closed jaxprs, and the trees of shapes of what they return."""
 
-    closed: Any
+    begin: Any
+    advance: Any
+    finish: Any
     carry: PyTree
+    first: PyTree
     record: PyTree
+    final: PyTree
 
 
-def trace(body: Body, carry: PyTree, inputs: dict[str, PyTree]) -> Traced:
-    """`body(k, carry, shared, lane, log, lane_log) -> (carry, record)`, traced.
-
-    Arguments are given as trees of shapes and types without the axes of lanes and steps:
-    `carry`, and by kind the `inputs`: `shared` by all lanes, one for each `lane`, one for
-    each step (`log`), or for both (`lane log`)."""
-    arguments = [inputs.get(kind) for kind in KINDS]
-    closed, out = jax.make_jaxpr(body, return_shape=True)(_step(), carry, *arguments)
-    if _shapes(out[0]) != _shapes(carry):
+def trace(bodies: Bodies, inputs: dict[str, PyTree]) -> Traced:
+    """The bodies, traced for inputs of the given shapes, those of one lane and one step."""
+    make = functools.partial(jax.make_jaxpr, return_shape=True)
+    fixed = constant_in_time(inputs)
+    begin, (carry, first) = make(bodies.begin)(fixed)
+    advance, (after, record) = make(bodies.advance)(_step(), carry, inputs)
+    finish, final = make(bodies.finish)(carry, fixed)
+    if _shapes(after) != _shapes(carry):
         raise ValueError(
             "The carry of a loop must keep its shapes and types, but a step makes "
-            f"{_shapes(out[0])} of {_shapes(carry)}."
+            f"{_shapes(after)} of {_shapes(carry)}."
         )
-    return Traced(closed, *out)
+    return Traced(begin, advance, finish, carry, first, record, final)
 
 
-def numbered(
-    carry: PyTree, inputs: dict[str, PyTree]
-) -> tuple[Graph, dict[str, list[np.ndarray]]]:
-    """A graph of inputs only, and by kind the nodes of each leaf; `step` is the index."""
-    graph = Graph()
-    step = graph.convert(graph.input(np.int64, ("step", 0)), _step().dtype)
-    numbers = {"step": [np.asarray(step)], "carry": _numbered(graph, "carry", carry)}
-    for kind in KINDS:
-        numbers[kind] = _numbered(graph, kind, inputs.get(kind))
-    return graph, numbers
+def constant_in_time(inputs: dict[str, PyTree]) -> dict[str, PyTree]:
+    return {kind: tree for kind, tree in inputs.items() if kind in ("shared", "lane")}
+
+
+class Inputs:
+    """A graph of inputs only, and the nodes of each of their leaves."""
+
+    def __init__(self, carry: PyTree, inputs: dict[str, PyTree]):
+        self.graph = Graph()
+        step = self.graph.input(np.int64, ("step", 0))
+        self.step = np.asarray(self.graph.convert(step, _step().dtype))
+        self.carry = _numbered(self.graph, "carry", carry)
+        # In the order of `jax.tree.leaves` of the dictionary.
+        self.by_kind = {k: _numbered(self.graph, k, inputs[k]) for k in sorted(inputs)}
+
+    @property
+    def all(self) -> list[np.ndarray]:
+        return [n for numbers in self.by_kind.values() for n in numbers]
+
+    @property
+    def fixed(self) -> list[np.ndarray]:
+        return [n for numbers in constant_in_time(self.by_kind).values() for n in numbers]
 
 
 def _step() -> jax.ShapeDtypeStruct:
@@ -64,82 +96,75 @@ def _step() -> jax.ShapeDtypeStruct:
 
 
 class Program:
-    """A loop, compiled: `carry` and `record` are trees of shapes and types, `found` the
-    nodes of their leaves, those of the carry first."""
+    """A loop, compiled: `record` and `final` are trees of shapes and types of what the
+    nodes of the loop mean."""
 
-    def __init__(
-        self,
-        graph: Graph,
-        carry: PyTree,
-        record: PyTree,
-        found: list[np.ndarray],
-        width: int,
-    ):
-        split = len(jax.tree.leaves(carry))
-        self.carry, self.record = _shapes(carry), _shapes(record)
-        self.record_tree = jax.tree.structure(record)
-        self.loop = Loop(graph, _flat(found[:split]), _flat(found[split:]))
+    def __init__(self, loop: Loop, record: PyTree, final: PyTree, width: int):
+        self.raw, self.loop = loop, reduced(loop)
+        self.record, self.final = record, final
         self.width = width
-        self.slots = slots(self.loop)
+        self.slots = self.loop.slots()
         self._function = _compiled(emit(self.loop, width))
 
     @classmethod
-    def of(
-        cls, body: Body, carry: PyTree, inputs: dict[str, PyTree], width: int
-    ) -> "Program":
-        """Of a function, see [`trace`][]."""
-        traced = trace(body, carry, inputs)
-        graph, numbers = numbered(carry, inputs)
-        found = flatten(graph, traced.closed, [n for ns in numbers.values() for n in ns])
-        return cls(graph, carry, traced.record, found, width)
+    def of(cls, bodies: Bodies, inputs: dict[str, PyTree], width: int) -> "Program":
+        """Of functions, traced for inputs of the given shapes."""
+        traced = trace(bodies, inputs)
+        given = Inputs(traced.carry, inputs)
+        graph, size = given.graph, len(given.carry)
+        begin = flatten(graph, traced.begin, given.fixed)
+        arguments = [given.step, *given.carry, *given.all]
+        advance = flatten(graph, traced.advance, arguments)
+        finish = flatten(graph, traced.finish, [*given.carry, *given.fixed])
+        parts = begin[:size], advance[:size], advance[size:], begin[size:], finish
+        loop = Loop(graph, *map(flat, parts))
+        return cls(loop, traced.record, traced.final, width)
 
     @property
     def operations(self) -> int:
-        """How many operations one step of one lane takes, constants and what is hoisted
-        out of the loop included."""
-        graph = self.loop.graph
-        needed = graph.reachable([*self.loop.carry, *self.loop.record])
-        return sum(graph.nodes[n].op not in ("const", "input") for n in needed)
+        """How many operations one step of one lane takes, a product with a sum counted as
+        two; what a step shares with all others or all lanes is not counted."""
+        nodes, total = self.loop.graph.nodes, 0
+        varies: dict[int, tuple[bool, bool]] = {}
+        for number in self.loop.of_a_step():
+            node = nodes[number]
+            varies[number] = node.varies([varies[a] for a in node.args])
+            if node.op not in ("const", "input") and all(varies[number]):
+                total += 2 if node.op == "fma" else 1
+        return total
 
     def __call__(
         self,
-        carry: PyTree,
         inputs: dict[str, PyTree],
         lanes: int,
         steps: int,
         *,
         every: int = 1,
-        start: int = 0,
         threads: int | None = None,
     ) -> tuple[PyTree, PyTree]:
-        """The final carry and the records, NumPy arrays with a leading axis of `lanes`;
-        records have a second one of `steps // every`."""
+        """The records and what is final, NumPy arrays with a leading axis of `lanes`;
+        records have a second one of `steps // every`, and one more for the first."""
         padded = -(-lanes // self.width) * self.width
-        columns = {("carry", i): c for i, c in enumerate(_columns(carry, padded))}
+        columns: dict[Any, np.ndarray] = {}
         for kind, tree in inputs.items():
             made = _COLUMNS[kind](tree, padded)
             columns |= {(kind, i): c for i, c in enumerate(made)}
-        saved = steps // every
-        for i, number in enumerate(self.loop.record):
-            dtype = _stored(self.loop.graph.dtype(number))
-            columns["record", i] = np.empty((saved, padded), dtype)
+        rows = steps // every + (1 if self.loop.first else 0)
+        dtype = lambda number: _stored(self.loop.graph.dtype(number))
+        record = [np.empty((rows, padded), dtype(n)) for n in self.loop.record]
+        final = [np.empty(padded, dtype(n)) for n in self.loop.final]
+        columns |= {("record", i): c for i, c in enumerate(record)}
+        columns |= {("final", i): c for i, c in enumerate(final)}
         table = (ctypes.c_void_p * max(len(self.slots), 1))(
             *(columns[slot].ctypes.data for slot in self.slots)
         )
         address = ctypes.addressof(table)
 
         def work(span: tuple[int, int]) -> None:
-            self._function(*span, padded, start, steps, every, address)
+            self._function(*span, padded, steps, every, address)
 
         run_in_threads(work, _spans(padded, self.width, threads), threads)
-        final = [columns["carry", i] for i in range(len(self.loop.carry))]
-        record = [columns["record", i] for i in range(len(self.loop.record))]
-        return (
-            jax.tree.unflatten(
-                jax.tree.structure(carry), _gathered(final, self.carry, lanes)
-            ),
-            jax.tree.unflatten(self.record_tree, _gathered(record, self.record, lanes)),
-        )
+        return _gathered(record, self.record, lanes), _gathered(final, self.final, lanes)
 
 
 def _shapes(tree: PyTree) -> list[tuple[tuple[int, ...], np.dtype]]:
@@ -158,7 +183,7 @@ def _numbered(graph: Graph, kind: str, tree: PyTree) -> list[np.ndarray]:
     return found
 
 
-def _flat(arrays: list[np.ndarray]) -> tuple[int, ...]:
+def flat(arrays: list[np.ndarray]) -> tuple[int, ...]:
     return tuple(int(n) for array in arrays for n in array.flat)
 
 
@@ -214,19 +239,21 @@ def _lane_logs(tree: PyTree, padded: int) -> list[np.ndarray]:
 _COLUMNS = {"shared": _shared, "lane": _columns, "log": _logs, "lane log": _lane_logs}
 
 
-def _gathered(columns: list[np.ndarray], shapes: list, lanes: int) -> list[np.ndarray]:
-    """Leaves with the axis of lanes first, then that of steps where there is one."""
+def _gathered(columns: list[np.ndarray], tree: PyTree, lanes: int) -> PyTree:
+    """A tree whose leaves have the axis of lanes first, then that of rows where there is
+    one, from a column for each of their entries."""
+    leaves, structure = jax.tree.flatten(tree)
     found, first = [], 0
-    for shape, dtype in shapes:
-        size = int(np.prod(shape, dtype=int))
+    for s in leaves:
+        size = int(np.prod(s.shape, dtype=int))
         group = columns[first : first + size]
         first += size
-        lead = (lanes, *group[0].shape[:-1]) if group else (lanes,)
-        leaf = np.empty((*lead, size), dtype)
+        lead = (lanes, *columns[0].shape[:-1]) if columns else (lanes,)
+        leaf = np.empty((*lead, size), s.dtype)
         for k, column in enumerate(group):
             leaf[..., k] = column[..., :lanes].T
-        found.append(leaf.reshape(*lead, *shape))
-    return found
+        found.append(leaf.reshape(*lead, *s.shape))
+    return jax.tree.unflatten(structure, found)
 
 
 # ---- threads and compilation ---------------------------------------------------------
@@ -276,7 +303,7 @@ def _machine() -> Any:
     return llvm.Target.from_default_triple()
 
 
-_SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 6, ctypes.c_void_p)
+_SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 5, ctypes.c_void_p)
 
 
 @functools.lru_cache(maxsize=128)

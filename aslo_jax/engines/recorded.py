@@ -11,7 +11,7 @@ from jaxtyping import Array, PyTree
 
 from .._checks import is_concrete
 from ..observers import AbstractObserver, ObserverState
-from .program import Program
+from .program import Bodies, Program
 
 # Lanes that a kernel advances at a time. A single log is bound by the length of its chain
 # of operations, so that more of them gain nothing.
@@ -79,22 +79,27 @@ class _Replay:
         kind = ("shared", "log") if lanes == 1 else ("lane", "lane log")
         if lanes == 1:
             fixed, signals = jax.tree.map(lambda x: np.asarray(x[0]), (fixed, signals))
-        inputs = {kind[0]: fixed, kind[1]: signals}
+        shape = lambda tree, drop: jax.tree.map(functools.partial(_shape, drop=drop), tree)
         drop = 1 if lanes > 1 else 0
-        shapes = {
-            kind[0]: jax.tree.map(functools.partial(_shape, drop=drop), fixed),
-            kind[1]: jax.tree.map(functools.partial(_shape, drop=drop + 1), signals),
-        }
+        shapes = {kind[0]: shape(fixed, drop), kind[1]: shape(signals, drop + 1)}
+        inputs = {kind[0]: fixed, kind[1]: signals}
+        # The first state differs from lane to lane, like the one that is returned.
+        shapes["lane"] = shapes.get("lane", {}) | {"state": shape(state, 1)}
+        inputs["lane"] = inputs.get("lane", {}) | {"state": state}
 
-        def body(k, state, shared, lane, log, lane_log):
-            fixed, now = (shared, log) if lanes == 1 else (lane, lane_log)
-            h = (fixed | now)["h"]
-            return self._advance(fixed["observer"], state, now["u"], now["y"], h)
+        def advance(k, state, inputs):
+            now = inputs[kind[1]]
+            h = (inputs[kind[0]] | now)["h"]
+            observer = inputs[kind[0]]["observer"]
+            return self._advance(observer, state, now["u"], now["y"], h)
 
-        carry = jax.tree.map(functools.partial(_shape, drop=1), state)
-        program = Program.of(body, carry, shapes, ONE if lanes == 1 else MANY)
-        final, estimate = program(state, inputs, lanes, steps)
-        return estimate, final
+        bodies = Bodies(
+            lambda inputs: (inputs["lane"]["state"], None),
+            advance,
+            lambda state, inputs: state,
+        )
+        program = Program.of(bodies, shapes, ONE if lanes == 1 else MANY)
+        return program(inputs, lanes, steps)
 
 
 def _shape(x: np.ndarray, drop: int) -> jax.ShapeDtypeStruct:

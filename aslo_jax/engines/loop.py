@@ -1,0 +1,50 @@
+"""A loop over time as nodes of a graph."""
+
+import dataclasses
+
+from .graph import Graph
+
+Slot = tuple[str, int]
+
+
+@dataclasses.dataclass(frozen=True)
+class Loop:
+    """What a kernel computes: nodes of `graph`, whose inputs have the slots
+
+    - `("step", 0)`: the time index, int64;
+    - `("shared", i)`, `("lane", i)`: constant in time, one value for all lanes or one each;
+    - `("log", i)`, `("lane log", i)`: the same, with one entry for each step;
+    - `("carry", i)`: the i-th value that goes on from step to step.
+
+    `begin` holds the nodes of the first carry, functions of what is constant in time, and
+    `carry` those of the next one. `first`, none or as many as `record`, is written before
+    the first step, and `record` at every so manyth one. `final` is what the last carry
+    leaves: functions of it and of what is constant in time.
+    """
+
+    graph: Graph
+    begin: tuple[int, ...]
+    carry: tuple[int, ...]
+    record: tuple[int, ...] = ()
+    first: tuple[int, ...] = ()
+    final: tuple[int, ...] = ()
+
+    def of_a_step(self) -> list[int]:
+        """The nodes of a step, those of its record included, arguments first."""
+        return self.graph.reachable([*self.carry, *self.record])
+
+    def needed(self) -> list[int]:
+        """All nodes, arguments first."""
+        roots = [*self.begin, *self.carry, *self.record, *self.first, *self.final]
+        return self.graph.reachable(roots)
+
+    def slots(self) -> list[Slot]:
+        """The pointers that a kernel takes, in their order: every input but the step and
+        the carry, then the records and what is final."""
+        nodes = self.graph.nodes
+        inputs = {nodes[n].data for n in self.needed() if nodes[n].op == "input"}
+        return [
+            *sorted(s for s in inputs if s[0] not in ("carry", "step")),
+            *(("record", i) for i in range(len(self.record))),
+            *(("final", i) for i in range(len(self.final))),
+        ]
