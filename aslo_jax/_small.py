@@ -18,38 +18,40 @@ def safe_rsqrt(x: Array) -> Array:
 
 
 def solve_definite(
-    M: Float[Array, "n n"], v: Float[Array, " n"]
+    M: Float[Array, "n n"], v: Float[Array, " n"], scale: Float[Array, " n"] | None = None
 ) -> tuple[Float[Array, " n"], Float[Array, ""]]:
-    """Solve `M x = v` for a positive semidefinite M of unit size by Cholesky.
+    """Solve `M x = v` for a positive semidefinite M by its factors `L D L'`.
 
     Returns x and the harmonic mean of the eigenvalues of M, `n / trace(M^-1)`, which is
-    between the least eigenvalue and n times it. Where M is singular both are 0.
+    between the least eigenvalue and n times it; of M with its rows and columns divided by
+    the roots of `scale` where that is given. Where M is singular both are 0.
     """
     n = v.shape[0]
-    L = [[M[i, j] for j in range(n)] for i in range(n)]
+    below = [[M[i, j] for j in range(n)] for i in range(n)]  # L D
+    L = [[jnp.zeros_like(v[0])] * n for _ in range(n)]
     inverse_pivot = []
     regular = jnp.asarray(True)
     for j in range(n):
-        pivot = L[j][j] - sum((L[j][k] * L[j][k] for k in range(j)), start=0.0)
+        pivot = below[j][j] - sum((below[j][k] * L[j][k] for k in range(j)), start=0.0)
         regular = regular & (pivot > 0)
-        root = jnp.sqrt(jnp.where(pivot > 0, pivot, 1.0))
-        inverse_pivot.append(1.0 / root)
+        inverse_pivot.append(1.0 / jnp.where(pivot > 0, pivot, 1.0))
         for i in range(j + 1, n):
-            below = L[i][j] - sum((L[i][k] * L[j][k] for k in range(j)), start=0.0)
-            L[i][j] = below * inverse_pivot[j]
-    # Columns of L^-1, the last of them applied to v.
-    inverse = [[jnp.zeros_like(v[0])] * n for _ in range(n)]
+            known = sum((below[i][k] * L[j][k] for k in range(j)), start=0.0)
+            below[i][j] = below[i][j] - known
+            L[i][j] = below[i][j] * inverse_pivot[j]
+    inverse = [[jnp.ones_like(v[0])] * n for _ in range(n)]  # of L, with ones on its diagonal
     for j in range(n):
-        inverse[j][j] = inverse_pivot[j]
         for i in range(j + 1, n):
-            total = sum((L[i][k] * inverse[k][j] for k in range(j, i)), start=0.0)
-            inverse[i][j] = -total * inverse_pivot[i]
-    w = [sum((inverse[i][k] * v[k] for k in range(i + 1)), start=0.0) for i in range(n)]
-    x = [sum((inverse[k][i] * w[k] for k in range(i, n)), start=0.0) for i in range(n)]
-    trace = sum(
-        (inverse[i][j] ** 2 for i in range(n) for j in range(i + 1)),
-        start=jnp.zeros_like(v[0]),
-    )
+            total = sum((L[i][k] * inverse[k][j] for k in range(j + 1, i)), start=L[i][j])
+            inverse[i][j] = -total
+    w = [sum((inverse[i][k] * v[k] for k in range(i)), start=v[i]) for i in range(n)]
+    w = [w[i] * inverse_pivot[i] for i in range(n)]
+    x = [sum((inverse[k][i] * w[k] for k in range(i + 1, n)), start=w[i]) for i in range(n)]
+    trace = jnp.zeros_like(v[0])
+    for i in range(n):
+        squares = (inverse[k][i] ** 2 * inverse_pivot[k] for k in range(i + 1, n))
+        entry = sum(squares, start=inverse_pivot[i])  # of the diagonal of M^-1
+        trace = trace + (entry if scale is None else scale[i] * entry)
     x = jnp.where(regular, jnp.stack([jnp.asarray(xi) for xi in x]), 0.0)
     return x, jnp.where(regular, n / trace, 0.0)
 

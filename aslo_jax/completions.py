@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ._small import safe_reciprocal, safe_rsqrt, solve_definite, solve_rows
+from ._small import safe_reciprocal, solve_definite, solve_rows
 from .filters import AbstractFilter, LowPass
 from .realise import Pass
 from .relations import Row, contract, settled, swap
@@ -103,9 +103,7 @@ class LeastSquares(AbstractCompletion):
             Mz = contract(M, z)
             v = F.hidden(lambda v: rb + Mz - A.T @ v, "v", jnp.zeros_like(rb))
             scale = row.scale**2
-        unit = safe_rsqrt(scale)
-        x, certificate = solve_definite(M * unit[:, None] * unit, v * unit)
-        return x * unit, certificate
+        return solve_definite(M, v, scale)
 
 
 def _solve(rows: list[Row]) -> tuple[Float[Array, " n"], Float[Array, ""]]:

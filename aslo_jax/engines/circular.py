@@ -27,39 +27,47 @@ COS = (
 
 
 def _circular(x: Expression) -> tuple[Expression, Expression, Expression]:
-    """The multiple n of pi/2 nearest to x, and sine and cosine of what is left."""
-    n = (x * (2.0 / math.pi)).rint()
+    """The multiple n of pi/2 nearest to x, a whole number whose low bits count, and sine
+    and cosine of what is left."""
+    form = format_of(x)
+    # Added to this, a number has its nearest whole one in the low bits of its mantissa.
+    magic = 1.5 * 2.0**form.mantissa
+    shifted = x.times_plus(2.0 / math.pi, magic)
+    n = shifted - magic
     r = x
-    for part in format_of(x).half_pi:
+    for part in form.half_pi:
         r = (-n).times_plus(part, r)
     z = r * r
     sine = (r * z).times_plus(horner(z, SIN), r)
-    half = 0.5 * z
-    w = 1.0 - half
-    cosine = w + ((1.0 - w) - half + z * z * horner(z, COS))
-    return n, sine, cosine
+    cosine = horner(z, (*COS, -0.5, 1.0))
+    return shifted.bits(form.integer), sine, cosine
 
 
-def _quadrant(n: Expression, sine: Expression, cosine: Expression) -> Expression:
-    """The sine of `n pi/2 + r`."""
-    half = (0.5 * n).floor()
-    odd = (n - 2.0 * half).differs(0.0)
-    sign = 1.0 - 2.0 * (half - 2.0 * (0.5 * half).floor())
-    return sign * where(odd, cosine, sine)
+def _odd(n: Expression) -> Expression:
+    """Whether a whole number is odd: its lowest bit is taken for a sign."""
+    return (n << (8 * n.dtype.itemsize - 1)) < 0
+
+
+def _turned(n: Expression, value: Expression) -> Expression:
+    """`value` where n mod 4 is 0 or 1, and its negative otherwise."""
+    top = 8 * n.dtype.itemsize - 1
+    sign = (n << (top - 1)) & n.like(-(2**top))
+    return (value.bits(n.dtype) ^ sign).bits(value.dtype)
 
 
 def sin(x: Expression) -> Expression:
-    return _quadrant(*_circular(x))
+    n, sine, cosine = _circular(x)
+    return _turned(n, where(_odd(n), cosine, sine))
 
 
 def cos(x: Expression) -> Expression:
     n, sine, cosine = _circular(x)
-    return _quadrant(n + 1.0, sine, cosine)
+    return _turned(n + 1, where(_odd(n), sine, cosine))
 
 
 def tan(x: Expression) -> Expression:
     n, sine, cosine = _circular(x)
-    odd = (n - 2.0 * (0.5 * n).floor()).differs(0.0)
+    odd = _odd(n)
     return where(odd, -cosine, sine) / where(odd, sine, cosine)
 
 

@@ -69,6 +69,9 @@ class Expression:
     def __or__(self, other):
         return self.op("or", other)
 
+    def __xor__(self, other):
+        return self.op("xor", other)
+
     def __invert__(self):
         return self.op("not")
 

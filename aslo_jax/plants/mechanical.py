@@ -200,5 +200,4 @@ def _matrix(x: Array) -> Array:
 
 def solve(M: Float[Array, "n n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
     """`M^-1 v` for a positive definite M of any size."""
-    unit = 1.0 / jnp.sqrt(jnp.diagonal(M))
-    return unit * solve_definite(M * unit[:, None] * unit, unit * v)[0]
+    return solve_definite(M, v)[0]
