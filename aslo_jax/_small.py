@@ -39,7 +39,9 @@ def solve_definite(
             known = sum((below[i][k] * L[j][k] for k in range(j)), start=0.0)
             below[i][j] = below[i][j] - known
             L[i][j] = below[i][j] * inverse_pivot[j]
-    inverse = [[jnp.ones_like(v[0])] * n for _ in range(n)]  # of L, with ones on its diagonal
+    inverse = [
+        [jnp.ones_like(v[0])] * n for _ in range(n)
+    ]  # of L, with ones on its diagonal
     for j in range(n):
         for i in range(j + 1, n):
             total = sum((L[i][k] * inverse[k][j] for k in range(j + 1, i)), start=L[i][j])

@@ -94,10 +94,11 @@ class Quadratic(AbstractTerms):
     The relation times F[1], less the filtered relation, has no quadratic term left:
     `r = C K - (C H) c`, `b = (C H) d + C W` with `H' = A H + B`,
     `K' = A K + B c' + H (Q z)'`, `W' = A W - B d + K z` (theory, section 2; Prop. 2).
-    A constant in d drops out with the exact start.
+    A constant in d drops out with the exact start. Where Q is a number, that times the
+    identity is meant.
     """
 
-    Q: Float[Array, "n n"]
+    Q: Float[Array, "n n"] | Float[Array, ""]
     c: Float[Array, " n"]
     d: Float[Array, ""]
     z: Float[Array, " n"]
@@ -105,7 +106,7 @@ class Quadratic(AbstractTerms):
 
     def row(self, F):
         H = F.settling("one")
-        Qz = jnp.sum(self.Q * self.z, axis=-1)
+        Qz = self.Q * self.z if self.Q.ndim == 0 else contract(self.Q, self.z)
         K = F.hidden(F.inject(self.c) + jnp.multiply.outer(H, Qz), "r")
         W = F.hidden(contract(K, self.z) - F.inject(self.d), "b")
         one, k = F.output(H), F.output(K)

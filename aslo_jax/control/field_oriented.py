@@ -33,6 +33,11 @@ def rotate(angle: Float[Array, ""], x: Float[Array, " 2"]) -> Float[Array, " 2"]
     return jnp.stack([c * x[0] - s * x[1], s * x[0] + c * x[1]])
 
 
+def across(angle: Float[Array, ""], x: Float[Array, ""]) -> Float[Array, " 2"]:
+    """x on the torque axis of a rotor at `angle` (rad), in the stationary frame."""
+    return x * jnp.stack([-jnp.sin(angle), jnp.cos(angle)])
+
+
 class FieldOriented(AbstractController):
     """PI speed control over PI current control, all of the current on the torque axis.
 
@@ -93,7 +98,7 @@ class FieldOriented(AbstractController):
         frame at `angle` (rad) that turns at `speed` (rad/s, electrical), and the derivative
         of the voltage integral (V/s)."""
         b, L, R = self.current_bandwidth, self.motor.inductance, self.motor.resistance
-        back_emf = rotate(angle, jnp.stack([0.0 * speed, speed * self.motor.magnet_flux]))
+        back_emf = across(angle, speed * self.motor.magnet_flux)
         error = current - fed.current
         wanted = b * L * error + state.voltage + back_emf
         size = jnp.sqrt(jnp.sum(wanted**2) + jnp.finfo(wanted.dtype).tiny)
@@ -103,7 +108,7 @@ class FieldOriented(AbstractController):
 
     def _law(self, t, state, fed):
         iq, torque_rate = self.torque_current(t, state, fed)
-        current = rotate(fed.angle, jnp.stack([0.0 * iq, iq]))
+        current = across(fed.angle, iq)
         speed = self.motor.pole_pairs * fed.speed
         u, voltage_rate = self.voltage(state, fed, current, fed.angle, speed)
         return u, CurrentState(torque_rate, voltage_rate)

@@ -7,6 +7,7 @@ import numpy as np
 
 from .instructions import SHIFTS, Writer
 from .loop import Loop, Slot
+from .order import ordered
 
 
 def emit(loop: Loop, width: int) -> str:
@@ -69,7 +70,7 @@ class _Kernel(Writer):
         in_record = set(self.graph.reachable(list(self.loop.record))) - set(in_step)
         self._entry()
         self._begin()
-        self._advance(self._moving(in_step))
+        self._advance(ordered(self.graph, self._moving(in_step)))
         self._record(self._moving(sorted(in_record)))
         self._finish(self._moving(self.graph.reachable(list(self.loop.final))))
         arguments = ", ".join(
@@ -162,7 +163,7 @@ class _Kernel(Writer):
         (kind, i), dtype = slot, self.graph.dtype(number)
         if kind == "step":
             self.scalars[number] = "%k"
-        elif kind == "log":
+        elif kind in ("log", "time"):
             place = self.offset(self.pointers[slot], dtype, "%k")
             self.scalars[number] = self.load(place, dtype, False)
         elif kind == "lane log":

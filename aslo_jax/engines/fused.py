@@ -12,10 +12,7 @@ from jaxtyping import PyTree
 from .._checks import is_concrete
 from .derivative import Derivative, is_real
 from .plan import Batch, Plan
-from .program import Bodies, Program
-
-# Lanes that a kernel advances at a time: always as many, so that no bits depend on it.
-WIDTH = 8
+from .program import Bodies, Program, width
 
 
 class Fused:
@@ -55,11 +52,11 @@ class Fused:
             advance,
             lambda state, inputs: self.plan.results(state),
         )
-        return Program.of(bodies, {"lane": self.sample}, WIDTH)
+        return Program.of(bodies, {"lane": self.sample}, width())
 
     def _run_with_rates(self, push: Derivative, leaves, rates, directions: int):
         """The tangents of the real results: an axis of lanes, one of directions, theirs."""
-        program = push.program(directions, WIDTH)
+        program = push.program(directions, width())
         record, final = self._execute(program, {"lane": (leaves, rates)}, leaves[0])
         return [*final, *(np.moveaxis(x, 2, 1) for x in record)]
 
@@ -140,9 +137,7 @@ class Fused:
 
         def flat_leaf(x, s):
             x = np.squeeze(x, tuple(ahead))
-            return np.broadcast_to(x, (*lanes_lead, lanes, *s.shape)).reshape(
-                -1, *s.shape
-            )
+            return np.broadcast_to(x, (*lanes_lead, lanes, *s.shape)).reshape(-1, *s.shape)
 
         def flat_rate(x, s):
             x = np.broadcast_to(x, (*lead, lanes, *s.shape))

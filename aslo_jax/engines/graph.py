@@ -104,6 +104,11 @@ class Graph:
         value = self.value(which)
         if value is not None:
             return on_true if value else on_false
+        # A choice that has been made is not made again.
+        if self.nodes[on_true].op == "select" and self.nodes[on_true].args[0] == which:
+            on_true = self.nodes[on_true].args[1]
+        if self.nodes[on_false].op == "select" and self.nodes[on_false].args[0] == which:
+            on_false = self.nodes[on_false].args[2]
         if on_true == on_false:
             return on_true
         args = (which, on_true, on_false)
@@ -182,15 +187,36 @@ class Graph:
                     return other
                 if value is not None and value == -1:
                     return self.op("neg", other)
-            return None
+            return self._product(a, y) or self._product(b, x)
         if op == "div":
-            return x if b is not None and b == 1 else None
+            if b is not None and b == 1:
+                return x
+            # A product is many times as fast, and as right but for the last bit.
+            if b is not None and a is None and b.dtype.kind == "f":
+                with np.errstate(all="ignore"):
+                    inverse = b.dtype.type(1.0) / b
+                normal = np.finfo(b.dtype).tiny
+                if normal <= abs(inverse) < np.inf and abs(b) >= normal:
+                    return self.op("mul", x, self.const(inverse, b.dtype))
+            return None
         if op in ("and", "or") and x == y:
             return x
         if self.dtype(x) == BOOL and op in ("and", "or"):
             for value, constant, other in ((a, x, y), (b, y, x)):
                 if value is not None:
                     return other if bool(value) == (op == "and") else constant
+        return None
+
+    def _product(self, value: Any, other: int) -> int | None:
+        """Of a constant and a product with a constant: the product with one constant."""
+        node = self.nodes[other]
+        if value is None or node.op != "mul" or node.dtype.kind != "f":
+            return None
+        for inner, rest in (node.args, node.args[::-1]):
+            if self.value(inner) is not None:
+                with np.errstate(all="ignore"):
+                    both = self.const(value * self.value(inner), node.dtype)
+                return self.op("mul", both, rest)
         return None
 
     def reachable(self, roots: list[int]) -> list[int]:

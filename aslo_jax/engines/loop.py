@@ -14,6 +14,7 @@ class Loop:
     - `("step", 0)`: the time index, int64;
     - `("shared", i)`, `("lane", i)`: constant in time, one value for all lanes or one each;
     - `("log", i)`, `("lane log", i)`: the same, with one entry for each step;
+    - `("time", i)`: a log that is computed beforehand (`timetable`);
     - `("carry", i)`: the i-th value that goes on from step to step.
 
     `begin` holds the nodes of the first carry, functions of what is constant in time, and

@@ -11,11 +11,11 @@ from jaxtyping import Array, PyTree
 
 from .._checks import is_concrete
 from ..observers import AbstractObserver, ObserverState
-from .program import Bodies, Program
+from .program import Bodies, Program, width
 
-# Lanes that a kernel advances at a time. A single log is bound by the length of its chain
-# of operations, so that more of them gain nothing.
-ONE, MANY = 2, 32
+# Lanes for a single log, which is bound by the length of its chain of operations, so that
+# more of them gain nothing.
+ONE = 2
 
 
 def replay_fused(
@@ -98,7 +98,7 @@ class _Replay:
             advance,
             lambda state, inputs: state,
         )
-        program = Program.of(bodies, shapes, ONE if lanes == 1 else MANY)
+        program = Program.of(bodies, shapes, ONE if lanes == 1 else width())
         return program(inputs, lanes, steps)
 
 

@@ -13,7 +13,7 @@ DEAR = {"div": 8, "sqrt": 8}
 
 
 def reduced(loop: Loop) -> Loop:
-    return lively(kept(lively(merged(loop))))
+    return lively(merged(lively(kept(lively(merged(loop))))))
 
 
 def rebuilt(graph: Graph, roots: Iterable[int], new: Mapping[int, int]) -> dict[int, int]:
@@ -109,6 +109,9 @@ def kept(loop: Loop) -> Loop:
     again = {
         n for n in step if later.get(n) in known and later[n] != n and worth[n] >= WORTH
     }
+    chosen_later = _of_chosen(loop, step, known, worth)
+    again |= set(chosen_later)
+    later |= chosen_later
     chosen: dict[int, int] = {}
     begin, carry = list(loop.begin), list(loop.carry)
     now = carries(graph, [*step, *graph.reachable([*loop.record, *loop.final])])
@@ -136,6 +139,35 @@ def _later(loop: Loop, step: list[int]) -> dict[int, int]:
                 later[number] = loop.carry[i]
         elif all(a in later for a in node.args):
             later[number] = graph.again(number, tuple(later[a] for a in node.args))
+    return later
+
+
+def _of_chosen(
+    loop: Loop, step: list[int], known: set[int], worth: dict[int, int]
+) -> dict[int, int]:
+    """The same for dear functions of a single entry of the carry that a step chooses from
+    two values, where it has computed the function of both: the choice of these."""
+    graph, later = loop.graph, {}
+    only: dict[int, int | None] = {}  # the one entry, none (-1), or several (None)
+    for number in step:
+        node = graph.nodes[number]
+        if node.op == "input":
+            kind, i = node.data
+            only[number] = i if kind == "carry" else None if kind != "lane" else -1
+        else:
+            found = {only[a] for a in node.args} - {-1}
+            only[number] = found.pop() if len(found) == 1 else None if found else -1
+    for number in step:
+        i = only[number]
+        if i is None or i < 0 or worth[number] < DEAR["div"]:
+            continue
+        choice = graph.nodes[loop.carry[i]]
+        if choice.op == "select":
+            entry = graph.input(choice.dtype, ("carry", i))
+            which, *values = choice.args
+            values = [rebuilt(graph, [number], {entry: v})[number] for v in values]
+            if known.issuperset(values):
+                later[number] = graph.select(which, *values)
     return later
 
 

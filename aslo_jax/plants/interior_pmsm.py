@@ -43,7 +43,7 @@ class SalientFluxRelation(eqx.Module):
         Ld, Lq = self.direct_inductance, self.quadrature_inductance
         total = Ld + Lq
         return Quadratic(
-            Q=jnp.eye(2, dtype=total.dtype) * (2.0 / total),
+            Q=2.0 / total,
             c=y,
             d=(product - Ld * Lq * jnp.sum(y * y)) / total,
             z=u - self.resistance * y,

@@ -31,7 +31,7 @@ class FluxRelation(eqx.Module):
     def __call__(self, u: Float[Array, " 2"], y: Float[Array, " 2"]) -> Quadratic:
         L, m = self.inductance, self.magnet_flux
         return Quadratic(
-            Q=jnp.eye(2, dtype=L.dtype) / L,
+            Q=1.0 / L,
             c=y,
             d=0.5 * (m * m / L - L * jnp.sum(y * y)),
             z=u - self.resistance * y,

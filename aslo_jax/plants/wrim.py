@@ -43,7 +43,7 @@ class WindingFluxRelation(eqx.Module):
         other = WINDINGS["rotor" if self.winding == "stator" else "stator"]
         yk, yo = y[own], y[other]
         return Quadratic(
-            Q=jnp.eye(2, dtype=L.dtype) / L,
+            Q=1.0 / L,
             c=yk,
             d=0.5 * (L_sr**2 * jnp.sum(yo * yo) / L - L * jnp.sum(yk * yk)),
             z=winding_voltages(u)[own] - self.resistance * yk,
