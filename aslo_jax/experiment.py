@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from ._checks import positive, real
 from .control import AbstractController
-from .disturbances import AbstractDisturbance
+from .disturbances import AbstractDisturbance, DisturbanceState, check_streams
 from .observers import AbstractObserver, ObserverState
 from .plants import AbstractPlant
 from .solvers import runge_kutta
@@ -33,11 +33,13 @@ class Carry(eqx.Module):
     """Everything that goes on from one sample to the next; a value."""
 
     x: PyTree
-    lag: PyTree
     controller: PyTree
     observers: dict[str, ObserverState]
     command: PyTree
     seen: PyTree
+    actuator: DisturbanceState | None
+    sensor: DisturbanceState | None
+    input_sensor: DisturbanceState | None
 
 
 class Experiment(eqx.Module):
@@ -49,7 +51,7 @@ class Experiment(eqx.Module):
       `plant.no_input(y)`, by default that of y;
     - `actuator`: between the controller and the plant, unseen by the observers; `sensor`:
       between the plant and everyone; `input_sensor`: between the controller and the
-      observers. The last two act at the samples;
+      observers. The last two act at the samples; none of their state is integrated;
     - `initial`: the plant's first state, by default `plant.initial()`;
     - `plant_steps`: Runge-Kutta steps of order 4 in each interval.
 
@@ -73,31 +75,31 @@ class Experiment(eqx.Module):
             raise ValueError(
                 f"Argument `plant_steps` must be at least 1, but got {self.plant_steps}."
             )
-        for part in (self.sensor, self.input_sensor):
-            if part is not None and jax.tree.leaves(part.init(jnp.zeros(()))):
-                raise ValueError(
-                    "Arguments `sensor` and `input_sensor` must have no state of their own "
-                    f"in a sampled loop, but {type(part).__name__} has one; use it as "
-                    "`actuator`, or in `simulate`."
-                )
+        check_streams((self.actuator, self.sensor, self.input_sensor))
 
     def init(self) -> tuple[Carry, Record]:
         """The carry and the record at the first sample, t = 0."""
         x = self.plant.initial() if self.initial is None else self.initial
         x = jax.tree.map(jnp.asarray, x)
         t = jnp.zeros_like(self.interval)
-        y = self._measure(t, x)
+        output = self.plant.output(x)
+        sensor = _at_samples("sensor", self.sensor, t, output, output)
+        y, sensor = _through(self.sensor, t, sensor, output, output)
         # No estimate depends on u at the instant: a controller can be fed the estimates
         # before there is an input, of which only the shape is needed.
         u = self.plant.no_input(y)
         blind = {} if self.feedback is None else self._first(t, y, u)[1]
         fed = self._fed(y, x, blind)
         state = self.controller.init(fed)
-        command, seen, state = self._control(t, state, fed)
+        command, state = self._control(t, state, fed)
+        input_sensor = _at_samples("input_sensor", self.input_sensor, t, command, output)
+        seen, input_sensor = _through(self.input_sensor, t, input_sensor, command, output)
         observers, estimates = self._first(t, y, seen)
-        lag = None if self.actuator is None else self.actuator.init(command)
+        actuator = self.actuator
+        actuator = None if actuator is None else actuator.init(t, command, output)
         record = Record(t, x, self.plant.hidden(x), y, seen, estimates)
-        return Carry(x, lag, state, observers, command, seen), record
+        disturbances = actuator, sensor, input_sensor
+        return Carry(x, state, observers, command, seen, *disturbances), record
 
     def prepare(self, carry: Carry) -> dict[str, PyTree]:
         """The coefficients of every observer's laws, which depend on parameters only."""
@@ -112,18 +114,23 @@ class Experiment(eqx.Module):
         self, k: Int[Array, ""], carry: Carry, prepared: dict[str, PyTree]
     ) -> tuple[Carry, Record]:
         """From sample k to sample k + 1, and what is recorded there."""
-        x, lag = self._integrate(k * self.interval, carry)
+        x, actuator = self._integrate(k * self.interval, carry)
         t = (k + 1) * self.interval
-        y = self._measure(t, x)
+        output = self.plant.output(x)
+        y, sensor = _through(self.sensor, t, carry.sensor, output, output)
         observers, estimates = {}, {}
         for name, observer in self.observers.items():
             observers[name], estimates[name] = observer.advance(
                 carry.observers[name], carry.seen, y, prepared[name]
             )
         fed = self._fed(y, x, estimates)
-        command, seen, state = self._control(t, carry.controller, fed)
+        command, state = self._control(t, carry.controller, fed)
+        seen, input_sensor = _through(
+            self.input_sensor, t, carry.input_sensor, command, output
+        )
         record = Record(t, x, self.plant.hidden(x), y, seen, estimates)
-        return Carry(x, lag, state, observers, command, seen), record
+        disturbances = actuator, sensor, input_sensor
+        return Carry(x, state, observers, command, seen, *disturbances), record
 
     def run(self, steps: int, every: int = 1) -> Record:
         """Run `steps` intervals and record every `every`-th sample, the first included:
@@ -142,37 +149,65 @@ class Experiment(eqx.Module):
         }
         return observers, estimates
 
-    def _measure(self, t, x):
-        y = self.plant.output(x)
-        return y if self.sensor is None else self.sensor(t, None, y)
-
     def _fed(self, y, x, estimates):
         return y if self.feedback is None else self.feedback(y, x, estimates)
 
     def _control(self, t, state, fed):
         command = jax.tree.map(jnp.asarray, self.controller(t, state, fed))
-        seen = command
-        if self.input_sensor is not None:
-            seen = self.input_sensor(t, None, command)
         rate = self.controller.vector_field(t, state, fed)
         state = jax.tree.map(lambda s, r: s + self.interval * r, state, rate)
-        return command, seen, state
+        return command, state
 
     def _integrate(self, t, carry):
-        h = self.interval / self.plant_steps
-        state = carry.x, carry.lag
+        """The plant and the actuator over the interval that begins at t."""
+        h, part = self.interval / self.plant_steps, self.actuator
+        before, command = carry.actuator, carry.command
+        state = carry.x, None if before is None else before.continuous
 
         def rate(t, state):
-            x, lag = state
-            if self.actuator is None:
-                return self.plant.vector_field(t, x, carry.command), None
-            applied = self.actuator(t, lag, carry.command)
-            lag_rate = self.actuator.vector_field(t, lag, carry.command)
-            return self.plant.vector_field(t, x, applied), lag_rate
+            x, continuous = state
+            if part is None or before is None:
+                return self.plant.vector_field(t, x, command), None
+            inner = DisturbanceState(continuous, before.sampled)
+            output = self.plant.output(x)
+            applied = part(t, inner, command, output)
+            own_rate = part.vector_field(t, inner, command, output)
+            return self.plant.vector_field(t, x, applied), own_rate
 
         for j in range(self.plant_steps):
             state = runge_kutta(rate, t + j * h, state, h)
-        return state
+        x, continuous = state
+        if part is None or before is None:
+            return x, None
+        # Its sample is that of t, from where on the command is held.
+        sampled = part.update(t, before, command, self.plant.output(carry.x))
+        return x, DisturbanceState(continuous, sampled)
+
+
+def _at_samples(
+    name: str, part: AbstractDisturbance | None, t: Any, signal: PyTree, output: PyTree
+) -> DisturbanceState | None:
+    """The first state of a disturbance that acts at the samples only."""
+    if part is None:
+        return None
+    state = part.init(t, signal, output)
+    if jax.tree.leaves(state.continuous):
+        raise ValueError(
+            f"Argument `{name}` must have no state that is integrated in a sampled loop, "
+            f"but {type(part).__name__} has one; use it as `actuator`, or in `simulate`."
+        )
+    return state
+
+
+def _through(
+    part: AbstractDisturbance | None, t: Any, state: Any, signal: PyTree, output: PyTree
+) -> tuple[PyTree, DisturbanceState | None]:
+    """The disturbed signal of a sample, and the state for the next one."""
+    if part is None:
+        return signal, None
+    sampled = part.update(t, state, signal, output)
+    after = DisturbanceState(state.continuous, sampled)
+    return part(t, state, signal, output), after
 
 
 @eqx.filter_jit

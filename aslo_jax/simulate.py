@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, PyTree
 from ._checks import is_concrete
 from ._jumps import Span, between_jumps, span
 from .control import AbstractController, OpenLoop
-from .disturbances import AbstractDisturbance
+from .disturbances import AbstractDisturbance, DisturbanceState, check_streams
 from .observers import AbstractObserver, ObserverState
 from .plants import AbstractPlant
 
@@ -65,25 +65,25 @@ class _Loop(eqx.Module):
 
     def signals(self, t, state):
         measured = self.plant.output(state["plant"])
-        y = _through(self.sensor, t, state["sensor"], measured)
+        y = _through(self.sensor, t, state["sensor"], measured, measured)
         fed = self.fed(t, state["plant"], y, state["observers"])
         command = self.controller(t, state["controller"], fed)
-        applied = _through(self.actuator, t, state["actuator"], command)
-        seen = _through(self.input_sensor, t, state["input_sensor"], command)
+        applied = _through(self.actuator, t, state["actuator"], command, measured)
+        seen = _through(self.input_sensor, t, state["input_sensor"], command, measured)
         return measured, y, fed, command, applied, seen
 
     def init(self, t0, x):
         measured = self.plant.output(x)
-        sensor = _init(self.sensor, measured)
-        y = _through(self.sensor, t0, sensor, measured)
+        sensor = _init("sensor", self.sensor, t0, measured, measured)
+        y = _through(self.sensor, t0, sensor, measured, measured)
         blind = {} if self.feedback is None else self.observers
         u = self.plant.no_input(y)
         fed = self.fed(t0, x, y, {k: o.init(y, u).states for k, o in blind.items()})
         controller = self.controller.init(fed)
         command = jax.tree.map(jnp.asarray, self.controller(t0, controller, fed))
-        actuator = _init(self.actuator, command)
-        input_sensor = _init(self.input_sensor, command)
-        seen = _through(self.input_sensor, t0, input_sensor, command)
+        actuator = _init("actuator", self.actuator, t0, command, measured)
+        input_sensor = _init("input_sensor", self.input_sensor, t0, command, measured)
+        seen = _through(self.input_sensor, t0, input_sensor, command, measured)
         return {
             "plant": x,
             "controller": controller,
@@ -108,9 +108,11 @@ class _Loop(eqx.Module):
             "plant": self.plant.vector_field(t, state["plant"], applied),
             "controller": self.controller.vector_field(t, state["controller"], fed),
             "observers": observers,
-            "actuator": _rate(self.actuator, t, state["actuator"], command),
-            "sensor": _rate(self.sensor, t, state["sensor"], measured),
-            "input_sensor": _rate(self.input_sensor, t, state["input_sensor"], command),
+            "actuator": _rate(self.actuator, t, state["actuator"], command, measured),
+            "sensor": _rate(self.sensor, t, state["sensor"], measured, measured),
+            "input_sensor": _rate(
+                self.input_sensor, t, state["input_sensor"], command, measured
+            ),
         }
 
     def record(self, t, state, args) -> Simulation:
@@ -126,16 +128,29 @@ class _Loop(eqx.Module):
         )
 
 
-def _through(part, t, state, signal):
-    return signal if part is None else part(t, state, signal)
+def _through(part, t, state, signal, output):
+    return signal if part is None else part(t, state, signal, output)
 
 
-def _init(part, signal):
-    return None if part is None else part.init(signal)
+def _init(name, part, t, signal, output):
+    if part is None:
+        return None
+    state = part.init(t, signal, output)
+    if jax.tree.leaves(state.sampled):
+        raise ValueError(
+            f"Argument `{name}` must have no state that is updated at samples, of which "
+            f"there are none in continuous time, but {type(part).__name__} has one; run an "
+            "`Experiment`."
+        )
+    return state
 
 
-def _rate(part, t, state, signal):
-    return None if part is None else part.vector_field(t, state, signal)
+def _rate(part, t, state, signal, output):
+    if part is None:
+        return None
+    # What is updated at samples has no leaves here, but is part of the tree.
+    rate = part.vector_field(t, state, signal, output)
+    return DisturbanceState(rate, state.sampled)
 
 
 def simulate(
@@ -198,6 +213,7 @@ def simulate(
                 f"Argument `ts` must lie in [{t0}, {t1}] s, but it spans "
                 f"[{instants[0]}, {instants[-1]}] s."
             )
+    check_streams((actuator, sensor, input_sensor))
     within = span((actuator, sensor, input_sensor), t0, t1)
     parts = (actuator, sensor, input_sensor, feedback, within)
     loop = _Loop(plant, controller, dict(observers), *parts)

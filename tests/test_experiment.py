@@ -248,6 +248,6 @@ def test_arguments_are_refused():
     with pytest.raises(ValueError, match=r"`interval` must be positive and finite \(s\)"):
         measured_angle(interval=0.0)
     with pytest.raises(ValueError, match="ParasiticLag has one; use it as `actuator`"):
-        measured_angle(sensor=ParasiticLag(0.1))
+        measured_angle(sensor=ParasiticLag(0.1)).init()
     with pytest.raises(ValueError, match=r"`current_limit` must be positive and finite"):
         FieldOriented(motor(), reference, current_limit=-1.0)

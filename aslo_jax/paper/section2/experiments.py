@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from ... import filters, random
 from ...completions import Repeat
-from ...disturbances import AbstractDisturbance, ParasiticLag, SampledNoise
+from ...disturbances import AbstractMemoryless, ParasiticLag, SampledNoise
 from ...filters import AbstractFilter, LowPass
 from ...observers import (
     AbstractObserver,
@@ -108,28 +108,14 @@ class PrintedChain(AbstractObserver):
         return Estimate(value, jnp.ones_like(x2), jnp.asarray(False))
 
 
-class Added(AbstractDisturbance):
+class Added(AbstractMemoryless):
     """Adds `signal(t)`, a function of time (s) in the units of what it disturbs."""
 
     signal: Callable[[Float[Array, ""]], Array]
 
-    def init(self, signal):
-        del signal
-
-    def vector_field(self, t, state, signal):
-        del t, state, signal
-
-    def __call__(self, t, state, signal):
-        del state
+    def __call__(self, t, state, signal, output=None):
+        del state, output
         return signal + self.signal(t)
-
-    @property
-    def has_jumps(self):
-        return False
-
-    def jumps(self, t0, t1):
-        del t0, t1
-        return np.empty(0)
 
 
 def paper_input(t: Float[Array, ""]) -> Float[Array, ""]:

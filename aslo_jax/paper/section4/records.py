@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ... import random
-from ...disturbances import AbstractDisturbance, Encoder, SampledNoise
+from ...disturbances import Chain, Encoder, SampledNoise
 from ...experiment import Experiment
 from ...plants import AbstractMechanicalSystem, MechanicalState
 from . import settings as s
@@ -32,30 +32,6 @@ CASES = {
     "16 bit, 5 % wrong": Case(16, wrong=True),
 }
 VALIDATION, TRAINING = 16, 8  # records of each case, from first states of their own
-
-
-class NoisyEncoder(AbstractDisturbance):
-    """White noise, then an encoder."""
-
-    noise: SampledNoise
-    encoder: Encoder
-
-    def init(self, signal):
-        del signal
-
-    def vector_field(self, t, state, signal):
-        del t, state, signal
-
-    def __call__(self, t, state, signal):
-        return self.encoder(t, state, self.noise(t, state, signal))
-
-    @property
-    def has_jumps(self):
-        return False
-
-    def jumps(self, t0, t1):
-        del t0, t1
-        return np.empty(0)
 
 
 class Records(NamedTuple):
@@ -84,7 +60,7 @@ def record(mechanism: s.Mechanism) -> Records:
             {},
             s.INTERVAL,
             feedback=s.true_feedback,
-            sensor=NoisyEncoder(noise, Encoder(resolution, angles)),
+            sensor=Chain(noise, Encoder(resolution, angles)),
             initial=MechanicalState(position, velocity),
         )
         run = loop.run(s.STEPS)

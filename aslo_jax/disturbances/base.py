@@ -1,0 +1,107 @@
+"""The protocol of every disturbance."""
+
+import abc
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+
+class DisturbanceState(eqx.Module):
+    """The state of a disturbance, a value: what is integrated beside the plant, and what is
+    updated at the samples. Either is empty, `None`, where there is nothing of the kind."""
+
+    continuous: PyTree = None
+    sampled: PyTree = None
+
+
+class AbstractDisturbance(eqx.Module):
+    """Something a signal passes through, with a state of its own where it needs one.
+
+    At every instant the disturbed signal is a function of the time `t` (s), the state and
+    the `signal`. In all methods `output` is what the plant puts out at that instant, before
+    any sensor, for what depends on it; beside a plant it is always given.
+    """
+
+    @abc.abstractmethod
+    def init(
+        self, t: Float[Array, ""], signal: PyTree, output: PyTree = None
+    ) -> DisturbanceState:
+        """The state at the first instant."""
+
+    @abc.abstractmethod
+    def vector_field(
+        self,
+        t: Float[Array, ""],
+        state: DisturbanceState,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
+        """The derivative of `state.continuous`."""
+
+    @abc.abstractmethod
+    def update(
+        self,
+        t: Float[Array, ""],
+        state: DisturbanceState,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
+        """`state.sampled` after the sample at t, for the next one."""
+
+    @abc.abstractmethod
+    def __call__(
+        self,
+        t: Float[Array, ""],
+        state: DisturbanceState | None,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
+        """The disturbed signal. A disturbance without a state takes `None` for it."""
+
+    @property
+    @abc.abstractmethod
+    def has_jumps(self) -> bool:
+        """Whether the disturbed signal is held and jumps at known instants."""
+
+    @abc.abstractmethod
+    def jumps(self, t0: float, t1: float) -> Float[np.ndarray, " jumps"]:
+        """The instants in (t0, t1) at which it jumps (s), for the solver to stop at."""
+
+
+class AbstractMemoryless(AbstractDisturbance):
+    """A disturbance without a state and without jumps: only `__call__` is left to say."""
+
+    def init(self, t, signal, output=None):
+        del t, signal, output
+        return DisturbanceState()
+
+    def vector_field(self, t, state, signal, output=None):
+        del t, state, signal, output
+
+    def update(self, t, state, signal, output=None):
+        del t, state, signal, output
+
+    @property
+    def has_jumps(self):
+        return False
+
+    def jumps(self, t0, t1):
+        del t0, t1
+        return np.empty(0)
+
+
+class AbstractSampled(AbstractDisturbance):
+    """A disturbance whose state changes at the samples only: `init`, `update` and
+    `__call__` are left to say. It needs an [`Experiment`][]; `simulate` has no samples."""
+
+    def vector_field(self, t, state, signal, output=None):
+        del t, state, signal, output
+
+    @property
+    def has_jumps(self):
+        return False
+
+    def jumps(self, t0, t1):
+        del t0, t1
+        return np.empty(0)

@@ -1,0 +1,50 @@
+"""The protocol of every metric."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, PyTree
+
+from ..experiment import Record
+
+
+class AbstractMetric(eqx.Module):
+    """A reduction of the records of an experiment, in the order of time.
+
+    It runs inside the loop of every engine, so `update` should be elementwise arithmetic on
+    small arrays. Each sample of a batch has a state of its own, so that one that diverges
+    leaves the others alone.
+    """
+
+    @abc.abstractmethod
+    def init(self, record: Record) -> PyTree:
+        """The state after the first record, that of t = 0."""
+
+    @abc.abstractmethod
+    def update(self, state: PyTree, record: Record) -> PyTree:
+        """The state after a further record."""
+
+    @abc.abstractmethod
+    def result(self, state: PyTree) -> PyTree:
+        """The metric, from the last state."""
+
+
+def error_of(record: Record, observer: str) -> Float[Array, " n"]:
+    """Estimate less truth, in the units of the state."""
+    return record.estimates[observer].value - record.hidden
+
+
+def squares_of(record: Record, observer: str, norm: bool) -> Float[Array, "*n"]:
+    """The squared error of each entry, or of the Euclidean norm."""
+    e = error_of(record, observer)
+    return jnp.sum(e * e) if norm else e * e
+
+
+def counts(record: Record, after: Float[Array, ""]) -> Bool[Array, ""]:
+    return record.t >= after
+
+
+def size(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """The magnitude, infinite where x is not a number."""
+    return jnp.where(jnp.isnan(x), jnp.inf, jnp.abs(x))

@@ -1,0 +1,24 @@
+"""How long an observer coasts."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from .base import AbstractMetric
+
+
+class CoastingFraction(AbstractMetric):
+    """The part of the samples at which `observer` coasts, from 0 to 1."""
+
+    observer: str = eqx.field(static=True)
+
+    def init(self, record):
+        coasts = record.estimates[self.observer].coasting
+        one = jnp.ones_like(record.t)
+        return one, jnp.where(coasts, one, 0.0)
+
+    def update(self, state, record):
+        count, total = self.init(record)
+        return state[0] + count, state[1] + total
+
+    def result(self, state):
+        return state[1] / state[0]

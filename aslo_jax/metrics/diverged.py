@@ -1,0 +1,35 @@
+"""Whether an estimate has diverged."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._checks import nonnegative, real
+from .base import AbstractMetric, counts, squares_of
+
+
+class Diverged(AbstractMetric):
+    """Whether the error of `observer` was ever, from `after` (s) on, larger than `bound`,
+    in the Euclidean norm and the units of the estimate, or not finite; a boolean. Its mean
+    over a batch is the share that diverged.
+
+    The bound is infinite by default; an error whose square overflows is then not finite.
+    """
+
+    observer: str = eqx.field(static=True)
+    bound: Float[Array, ""] = eqx.field(converter=real, default=jnp.inf)
+    after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
+
+    def __check_init__(self):
+        nonnegative("after", self.after)
+
+    def init(self, record):
+        square = squares_of(record, self.observer, True)
+        fine = jnp.isfinite(square) & (square <= self.bound**2)
+        return counts(record, self.after) & ~fine
+
+    def update(self, state, record):
+        return state | self.init(record)
+
+    def result(self, state):
+        return state

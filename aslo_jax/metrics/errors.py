@@ -1,0 +1,134 @@
+"""Metrics of the estimation error."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._checks import nonnegative, real
+from .base import AbstractMetric, counts, error_of, size, squares_of
+from .functions import Integral, Mean
+
+
+class RMSError(AbstractMetric):
+    """The root of the mean squared error of `observer` from `after` (s) on, in the units of
+    the estimate: of each of its entries, or of the Euclidean `norm`. Infinite where the
+    error was not finite."""
+
+    observer: str = eqx.field(static=True)
+    after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
+    norm: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        nonnegative("after", self.after)
+
+    def init(self, record):
+        counting = counts(record, self.after)
+        # Left out before it is squared: adding a square is then one rounding.
+        e = jnp.where(counting, error_of(record, self.observer), 0.0)
+        square = jnp.sum(e * e) if self.norm else e * e
+        return jnp.where(counting, 1.0, 0.0).astype(e.dtype), square
+
+    def update(self, state, record):
+        count, total = state
+        more, square = self.init(record)
+        return count + more, total + square
+
+    def result(self, state):
+        count, total = state
+        return size(jnp.sqrt(total / jnp.maximum(count, 1.0)))
+
+
+class PeakError(AbstractMetric):
+    """The largest error of `observer` from `after` (s) on, in magnitude, in the units of
+    the estimate: of each of its entries, or the Euclidean `norm`. Infinite where the error
+    was not finite; zero where there are no samples."""
+
+    observer: str = eqx.field(static=True)
+    after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
+    norm: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        nonnegative("after", self.after)
+
+    def init(self, record):
+        if self.norm:
+            # Squared up to the result: the root has no derivative at zero.
+            e = squares_of(record, self.observer, True)
+        else:
+            e = error_of(record, self.observer)
+        return jnp.where(counts(record, self.after), size(e), 0.0)
+
+    def update(self, state, record):
+        return jnp.maximum(state, self.init(record))
+
+    def result(self, state):
+        return jnp.sqrt(state) if self.norm else state
+
+
+class FinalError(AbstractMetric):
+    """The error of `observer` at the last sample, in the units of the estimate: estimate
+    less truth, shape `(n,)`, or its Euclidean `norm`, infinite where it is not finite."""
+
+    observer: str = eqx.field(static=True)
+    norm: bool = eqx.field(static=True, default=False)
+
+    def init(self, record):
+        return error_of(record, self.observer)
+
+    def update(self, state, record):
+        del state
+        return self.init(record)
+
+    def result(self, state):
+        return size(jnp.sqrt(jnp.sum(state * state))) if self.norm else state
+
+
+class MeanError(AbstractMetric):
+    """The bias of `observer`: its mean error from `after` (s) on, in the units of the
+    estimate, shape `(n,)`, or the Euclidean `norm` of that. Not finite where the error was
+    not."""
+
+    observer: str = eqx.field(static=True)
+    after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
+    norm: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        nonnegative("after", self.after)
+
+    def init(self, record):
+        return self._mean().init(record)
+
+    def update(self, state, record):
+        return self._mean().update(state, record)
+
+    def result(self, state):
+        mean = self._mean().result(state)
+        return jnp.sqrt(jnp.sum(mean * mean)) if self.norm else mean
+
+    def _mean(self) -> Mean:
+        return Mean(lambda record: error_of(record, self.observer), self.after)
+
+
+class IntegralSquaredError(AbstractMetric):
+    """The integral over time of the squared error of `observer` from `after` (s) on, in
+    squared units of the estimate times seconds: of each of its entries, or of the Euclidean
+    `norm`. Infinite where the error was not finite."""
+
+    observer: str = eqx.field(static=True)
+    after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
+    norm: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        nonnegative("after", self.after)
+
+    def init(self, record):
+        return self._integral().init(record)
+
+    def update(self, state, record):
+        return self._integral().update(state, record)
+
+    def result(self, state):
+        return size(self._integral().result(state))
+
+    def _integral(self) -> Integral:
+        return Integral(lambda r: squares_of(r, self.observer, self.norm), self.after)

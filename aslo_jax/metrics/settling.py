@@ -1,0 +1,34 @@
+"""When an estimate has settled."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._checks import positive, real
+from ..experiment import Record
+from .base import AbstractMetric, squares_of
+
+
+class SettlingTime(AbstractMetric):
+    """The first instant (s) from which the error of `observer` stays within `tolerance`, in
+    the Euclidean norm and the units of the estimate; infinite where it is outside at the
+    end, or not a number."""
+
+    observer: str = eqx.field(static=True)
+    tolerance: Float[Array, ""] = eqx.field(converter=real)
+
+    def __check_init__(self):
+        positive("tolerance", self.tolerance)
+
+    def init(self, record):
+        return jnp.where(self._within(record), record.t, jnp.inf)
+
+    def update(self, state, record):
+        earliest = jnp.minimum(state, record.t)
+        return jnp.where(self._within(record), earliest, jnp.inf)
+
+    def result(self, state):
+        return state
+
+    def _within(self, record: Record):
+        return squares_of(record, self.observer, True) <= self.tolerance**2
