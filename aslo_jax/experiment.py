@@ -163,6 +163,8 @@ class Experiment(eqx.Module):
         h, part = self.interval / self.plant_steps, self.actuator
         before, command = carry.actuator, carry.command
         state = carry.x, None if before is None else before.continuous
+        # What is held jumps at the end, where the last stage belongs to this interval yet.
+        end = (t + self.interval) * (1.0 - 4.0 * jnp.finfo(self.interval.dtype).eps)
 
         def rate(t, state):
             x, continuous = state
@@ -170,8 +172,9 @@ class Experiment(eqx.Module):
                 return self.plant.vector_field(t, x, command), None
             inner = DisturbanceState(continuous, before.sampled)
             output = self.plant.output(x)
-            applied = part(t, inner, command, output)
-            own_rate = part.vector_field(t, inner, command, output)
+            at = jnp.minimum(t, end) if part.has_jumps else t
+            applied = part(at, inner, command, output)
+            own_rate = part.vector_field(at, inner, command, output)
             return self.plant.vector_field(t, x, applied), own_rate
 
         for j in range(self.plant_steps):

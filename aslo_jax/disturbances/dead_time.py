@@ -1,5 +1,6 @@
 """The dead time of an inverter."""
 
+import math
 from collections.abc import Callable
 
 import equinox as eqx
@@ -8,6 +9,8 @@ from jaxtyping import Array, Float, PyTree
 
 from .._checks import nonnegative, positive, real
 from .base import AbstractMemoryless
+
+SQRT3 = math.sqrt(3.0)
 
 
 def first_two(output: PyTree) -> Float[Array, " 2"]:
@@ -48,9 +51,9 @@ class DeadTime(AbstractMemoryless):
                 "on the current, but got None."
             )
         alpha, beta = self.current(output)
-        across = 0.5 * jnp.sqrt(3.0) * beta
+        across = 0.5 * SQRT3 * beta
         phases = jnp.stack([alpha, across - 0.5 * alpha, -across - 0.5 * alpha])
         a, b, c = jnp.clip(phases / self.threshold, -1.0, 1.0)
         # Clarke's transformation; what the three have in common drives no current.
-        error = jnp.stack([(2.0 * a - b - c) / 3.0, (b - c) / jnp.sqrt(3.0)])
+        error = jnp.stack([(2.0 * a - b - c) / 3.0, (b - c) / SQRT3])
         return signal - self.voltage * error

@@ -32,12 +32,12 @@ class Delay(AbstractSampled):
     def __init__(self, delay: Float[Array, ""] | float, longest: int | None = None):
         self.delay = real(delay)
         if longest is None:
-            if not is_concrete(self.delay):
+            if not is_concrete(delay):
                 raise ValueError(
                     "Argument `longest` must be given where `delay` is traced, since the "
                     "number of samples to keep depends on it, but got None."
                 )
-            value = float(self.delay)
+            value = float(delay)
             longest = max(math.ceil(value), 1) if math.isfinite(value) else 1
         self.longest = longest
 
@@ -65,8 +65,10 @@ class Delay(AbstractSampled):
         del t, output
         values = self._values(state, signal)
         last = self.longest - 1
-        begin = jnp.clip(jnp.floor(self.delay), 0.0, last)
-        fraction = jnp.clip(self.delay - begin, 0.0, 1.0)
+        delay = jnp.where(self.delay < 0.0, 0.0, self.delay)
+        delay = jnp.where(delay > self.longest, self.longest, delay)
+        begin = jnp.minimum(jnp.floor(delay), last)
+        fraction = delay - begin
         later, earlier = values[last], values[last + 1]
         for k in reversed(range(last)):  # selected, so that whole delays are exact
             here = begin == k

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import nonnegative, real
+from .._checks import is_concrete, nonnegative, real
 from .base import AbstractMetric, counts, squares_of
 
 
@@ -22,6 +22,10 @@ class Diverged(AbstractMetric):
 
     def __check_init__(self):
         nonnegative("after", self.after)
+        if eqx.is_array(self.bound) and is_concrete(self.bound) and not self.bound > 0:
+            raise ValueError(
+                f"Argument `bound` must be positive, but got {float(self.bound)}."
+            )
 
     def init(self, record):
         square = squares_of(record, self.observer, True)

@@ -11,6 +11,13 @@ from ..experiment import Record
 from .base import AbstractMetric, counts
 
 
+def _value(function: Callable[[Record], Array], record: Record) -> Array:
+    """A real array; what is none has the precision of the time."""
+    value = jnp.asarray(function(record))
+    real_already = jnp.issubdtype(value.dtype, jnp.floating)
+    return value if real_already else value.astype(record.t.dtype)
+
+
 class Mean(AbstractMetric):
     """The mean of `function(record)`, an array of any shape (true counts as 1), over the
     samples from `after` (s) on; zero where there are none."""
@@ -22,7 +29,8 @@ class Mean(AbstractMetric):
         nonnegative("after", self.after)
 
     def init(self, record):
-        value, counting = real(self.function(record)), counts(record, self.after)
+        value = _value(self.function, record)
+        counting = counts(record, self.after)
         one = jnp.where(counting, jnp.ones_like(value), 0.0)
         return one, jnp.where(counting, value, 0.0)
 
@@ -46,7 +54,7 @@ class Maximum(AbstractMetric):
         nonnegative("after", self.after)
 
     def init(self, record):
-        value = real(self.function(record))
+        value = _value(self.function, record)
         return jnp.where(counts(record, self.after), value, -jnp.inf)
 
     def update(self, state, record):
@@ -83,12 +91,12 @@ class Integral(AbstractMetric):
         nonnegative("after", self.after)
 
     def init(self, record):
-        value = real(self.function(record))
+        value = _value(self.function, record)
         return record.t, counts(record, self.after), value, jnp.zeros_like(value)
 
     def update(self, state, record):
         t, counting, value, total = state
-        now = real(self.function(record))
+        now = _value(self.function, record)
         area = 0.5 * (record.t - t) * (value + now)
         total = total + jnp.where(counting, area, 0.0)
         return record.t, counts(record, self.after), now, total
