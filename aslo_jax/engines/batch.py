@@ -1,8 +1,9 @@
 """Many experiments at once: one function from a sample of parameters to an experiment, run
-over a batch of samples by one of two engines."""
+over batches of samples by one of two engines."""
 
 import warnings
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,6 +17,96 @@ from .fused import Fused
 from .plan import Batch as Batch, Plan
 
 
+class Runner:
+    """A batch that is traced and compiled once, when it is made, and then called with any
+    number of samples, chunk by chunk for instance.
+
+    - `make(sample)`: the experiment of one sample;
+    - `like`: one sample, a pytree of arrays or of their shapes and types;
+    - `steps`, `metrics`, `record`, `every`, `engine`, `threads`: as in [`run_batch`][];
+    - `block`: makes the engine `"scan"` run that many samples at a time, the last ones
+      repeated up to a whole block. The same samples in the same place of a block give the
+      same bits then, whatever the size of a chunk; those of `"fused"` always do.
+
+    Called with samples, every leaf with a leading axis of length N, it returns a
+    [`Batch`][]. `engine` tells which one it is, `shapes` what one sample gives: the leaves
+    of a batch without that axis and, in the record, without that of time.
+
+    **Raises:** as [`run_batch`][].
+    """
+
+    engine: str
+    shapes: Batch
+
+    def __init__(
+        self,
+        make: Callable[[PyTree], Experiment],
+        like: PyTree,
+        steps: int,
+        *,
+        metrics: Mapping[str, AbstractMetric] | None = None,
+        record: Callable[[Record], PyTree] | None = None,
+        every: int | None = None,
+        engine: str = "auto",
+        threads: int | None = None,
+        block: int | None = None,
+    ):
+        every = steps if every is None else every
+        if steps < 1 or every < 1 or steps % every:
+            raise ValueError(
+                "Argument `every` must divide `steps`, both at least 1, but got "
+                f"steps = {steps}, every = {every}."
+            )
+        if engine not in ("auto", "fused", "scan"):
+            raise ValueError(
+                f'Argument `engine` must be "auto", "fused" or "scan", but got {engine!r}.'
+            )
+        self.steps, self.every, self.block = steps, every, block
+        self._plan = Plan(make, dict(metrics or {}), record)
+        like = jax.tree.map(_shape, like)
+        state, kept = jax.eval_shape(self._plan.first, like)
+        self.shapes = Batch(jax.eval_shape(self._plan.results, state), kept)
+        self._fused = None if engine == "scan" else self._compiled(like, threads, engine)
+        self.engine = "scan" if self._fused is None else "fused"
+
+    def _compiled(self, like: PyTree, threads: int | None, engine: str) -> Fused | None:
+        try:
+            fused = Fused(self._plan, like, self.steps, self.every, threads)
+            fused.program  # noqa: B018  compiled now, and refused now if it cannot be
+            return fused
+        except (NotFusible, ImportError) as error:
+            if engine == "fused":
+                raise
+            # Of whoever called what made the runner, `run_batch` for one.
+            warnings.warn(f'Running with engine="scan". {error}', stacklevel=4)
+            return None
+
+    def __call__(self, samples: PyTree) -> Batch:
+        samples = jax.tree.map(jnp.asarray, samples)
+        lanes = _lanes(samples)
+        if self._fused is not None:
+            return self._fused(samples)
+        if self.block is None:
+            return _scanned(self._plan, samples, self.steps, self.every)
+        return self._in_blocks(samples, lanes, self.block)
+
+    def _in_blocks(self, samples: PyTree, lanes: int, block: int) -> Batch:
+        padding = -lanes % block
+        samples = jax.tree.map(
+            lambda x: jnp.concatenate([x, jnp.repeat(x[-1:], padding, axis=0)]), samples
+        )
+        pieces = [
+            _scanned(
+                self._plan,
+                jax.tree.map(lambda x, k=k: x[k : k + block], samples),
+                self.steps,
+                self.every,
+            )
+            for k in range(0, lanes, block)
+        ]
+        return jax.tree.map(lambda *x: jnp.concatenate(x)[:lanes], *pieces)
+
+
 def run_batch(
     make: Callable[[PyTree], Experiment],
     samples: PyTree,
@@ -27,7 +118,8 @@ def run_batch(
     engine: str = "auto",
     threads: int | None = None,
 ) -> Batch:
-    """Run `make(sample)` for `steps` samples in time, for every sample of a batch.
+    """Run `make(sample)` for `steps` samples in time, for every sample of a batch. For many
+    batches of one kind use a [`Runner`][], which compiles once.
 
     - `samples`: a pytree, every leaf with a leading axis of length N; what `make` uses of
       it may be anything: parameters, initial states, keys of random numbers;
@@ -45,29 +137,25 @@ def run_batch(
     `ValueError` for samples without a common leading axis, or `every` that does not divide
     `steps`.
     """
-    every = steps if every is None else every
-    if steps < 1 or every < 1 or steps % every:
-        raise ValueError(
-            "Argument `every` must divide `steps`, both at least 1, but got "
-            f"steps = {steps}, every = {every}."
-        )
-    if engine not in ("auto", "fused", "scan"):
-        raise ValueError(
-            f'Argument `engine` must be "auto", "fused" or "scan", but got {engine!r}.'
-        )
     samples = jax.tree.map(jnp.asarray, samples)
     _lanes(samples)
-    plan = Plan(make, dict(metrics or {}), record)
-    if engine == "scan":
-        return _scanned(plan, samples, steps, every)
-    try:
-        like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), samples)
-        return Fused(plan, like, steps, every, threads)(samples)
-    except (NotFusible, ImportError) as error:
-        if engine == "fused":
-            raise
-        warnings.warn(f'Running with engine="scan". {error}', stacklevel=2)
-        return _scanned(plan, samples, steps, every)
+    like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), samples)
+    runner = Runner(
+        make,
+        like,
+        steps,
+        metrics=metrics,
+        record=record,
+        every=every,
+        engine=engine,
+        threads=threads,
+    )
+    return runner(samples)
+
+
+def _shape(x: Any) -> jax.ShapeDtypeStruct:
+    x = x if isinstance(x, jax.ShapeDtypeStruct) else jnp.asarray(x)
+    return jax.ShapeDtypeStruct(x.shape, x.dtype)
 
 
 def _lanes(samples: PyTree) -> int:
