@@ -11,6 +11,7 @@ from . import (
     observers as observers,
     plants as plants,
     random as random,
+    study as study,
 )
 from .completions import (
     AbstractCompletion as AbstractCompletion,
@@ -39,6 +40,7 @@ from .observers import (
     ExtendedKalman as ExtendedKalman,
     FilteredDerivative as FilteredDerivative,
     HighGain as HighGain,
+    Joined as Joined,
     ObserverState as ObserverState,
     OpenLoopIntegrator as OpenLoopIntegrator,
     PhaseLockedLoop as PhaseLockedLoop,

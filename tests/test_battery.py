@@ -81,6 +81,7 @@ OBSERVERS = {
     "flux, forgetting": flux(aslo.LeastSquares(aslo.LowPass(10.0))),
     "flux, paper": flux(aslo.Repeat(), start="paper"),
     "flux, asymptotic": aslo.Asymptotic(flux(), 20.0),
+    "joined": aslo.Joined((flux(), aslo.Asymptotic(flux(), 20.0))),
     "side by side": aslo.SideBySide({"a": flux(), "b": aslo.Asymptotic(flux(), 20.0)}),
     "staged": aslo.Staged(
         flux(),

@@ -15,7 +15,7 @@ from .base import (
     ObserverState as ObserverState,
 )
 from .bearing import BearingObserver as BearingObserver
-from .compose import SideBySide as SideBySide, Staged as Staged
+from .compose import Joined as Joined, SideBySide as SideBySide, Staged as Staged
 from .differentiators import (
     FilteredDerivative as FilteredDerivative,
     HighGain as HighGain,

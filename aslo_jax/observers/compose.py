@@ -1,12 +1,13 @@
-"""Observers of observers: side by side, and in stages."""
+"""Observers of observers: side by side, joined, and in stages."""
 
 from collections.abc import Callable
 from typing import Any
 
+import jax.numpy as jnp
 from jaxtyping import PyTree
 
 from ..realise import Pass
-from .base import AbstractObserver
+from .base import AbstractObserver, Estimate
 
 
 class SideBySide(AbstractObserver):
@@ -20,6 +21,25 @@ class SideBySide(AbstractObserver):
             name: observer.equations(F.scope(name), u, y)
             for name, observer in self.observers.items()
         }
+
+
+class Joined(AbstractObserver):
+    """Several observers of the same signals as one, whose estimate is theirs one after the
+    other, as the hidden part of a plant may be. Its certificate is the least of theirs, and
+    it coasts if one of them does."""
+
+    parts: tuple[AbstractObserver, ...]
+
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
+        each = [
+            part.equations(F.scope(f"part{k}"), u, y)
+            for k, part in enumerate(self.parts, start=1)
+        ]
+        return Estimate(
+            jnp.concatenate([e.value for e in each]),
+            jnp.min(jnp.stack([e.certificate for e in each])),
+            jnp.any(jnp.stack([e.coasting for e in each])),
+        )
 
 
 class Staged(AbstractObserver):

@@ -1,0 +1,40 @@
+"""Files of studies: TOML to an experiment, a spread and metrics.
+
+title = "A motor with a warm winding"
+interval = 2e-4              # s
+horizon = 2.0                # s
+
+[machine]                    # as for `aslo-jax estimate`, with a load
+kind = "pmsm"
+...
+
+[control]
+kind = "field_oriented"
+...
+
+[observers.ASLO]
+kind = "aslo"
+cutoff = 50.0                # rad/s
+
+[[sensor]]
+kind = "noise"
+deviation = 0.01             # A
+
+[spread.resistance]
+where = "plant.resistance"   # the observers keep the nominal one
+distribution = "normal"
+mean = 1.0
+deviation = 0.1
+relative = true
+
+[metrics.rms]
+kind = "rms"
+"""
+
+from .file import (
+    NAMES as NAMES,
+    Configuration as Configuration,
+    ConfigurationError as ConfigurationError,
+    configure as configure,
+    read_configuration as read_configuration,
+)

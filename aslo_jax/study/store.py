@@ -1,0 +1,270 @@
+"""The store of a study: one Zarr group that xarray reads, written chunk by chunk.
+
+The arrays are made as a whole, with chunks of their own for every chunk of samples. A chunk
+is written in two steps: its data, then a mark in the array `done`, which is the checksum
+of the data and appears by one rename. So a process that is killed leaves chunks that are
+marked and right, and chunks that are not marked and are computed again.
+"""
+
+import json
+import shutil
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._extras import require
+
+FORMAT = "aslo_jax_study"  # the attribute that marks a store, and its version
+VERSION = 1
+DONE = "done"
+_MARK = 2**32  # added to a checksum of 32 bits, so that a mark is never zero
+
+
+class Variable(NamedTuple):
+    """A variable of a study: its dimensions, the first `sample`, and the shape and type of
+    what one sample has; attributes such as `units` and `long_name`."""
+
+    dims: tuple[str, ...]
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    attributes: dict[str, str]
+
+
+class Schema(NamedTuple):
+    """What a study writes.
+
+    - `samples`, and how many of them in a `chunk`;
+    - `variables` by name, `coordinates` by name, which is that of their dimension, and
+      their `attributes`;
+    - `attributes` of the whole, which decide what the numbers are: a store goes on only
+      with the same ones.
+    """
+
+    samples: int
+    chunk: int
+    variables: dict[str, Variable]
+    coordinates: dict[str, np.ndarray]
+    coordinate_attributes: dict[str, dict[str, str]]
+    attributes: dict[str, Any]
+
+    @property
+    def chunks(self) -> int:
+        return -(-self.samples // self.chunk)
+
+    def range(self, number: int) -> tuple[int, int]:
+        """The samples of a chunk, from the first to before the last."""
+        first = number * self.chunk
+        return first, min(first + self.chunk, self.samples)
+
+
+Data = Mapping[str, np.ndarray]
+
+
+class Store:
+    """The Zarr group of a study at `path`, to be written chunk by chunk."""
+
+    def __init__(self, path: Path, schema: Schema):
+        self.path, self.schema = path, schema
+        zarr = require("zarr", "study")
+        self._group = zarr.open_group(str(path), mode="r+", zarr_format=3)
+
+    def write(self, number: int, data: Data) -> None:
+        """Write a chunk: its data, then its mark. Writing the same again is harmless."""
+        first, last = self.schema.range(number)
+        full = dict(data) | {"sample": np.arange(first, last)}
+        for name in self._names():
+            self._group[name][first:last] = full[name]
+        self._group[DONE][number] = _MARK + _checksum(full[name] for name in self._names())
+
+    def _names(self) -> list[str]:
+        return ["sample", *self.schema.variables]
+
+    def done(self) -> np.ndarray:
+        """Which chunks are marked as done."""
+        return np.asarray(self._group[DONE][:]) != 0
+
+    def verify(self) -> None:
+        """Refuse data that is not what was written."""
+        marks = np.asarray(self._group[DONE][:])
+        for number in np.flatnonzero(marks):
+            first, last = self.schema.range(int(number))
+            try:
+                data = [np.asarray(self._group[n][first:last]) for n in self._names()]
+                right = _MARK + _checksum(data) == int(marks[number])
+            except Exception as error:  # whatever a codec raises
+                raise _damaged(self.path, f"chunk {number} cannot be read") from error
+            if not right:
+                raise _damaged(self.path, f"chunk {number} is not what was written")
+
+
+def open_store(path: Path, schema: Schema, resume: bool) -> Store:
+    """Make the store, or with `resume` go on with the one that is there, if any.
+
+    **Raises:** `ValueError` for a path that holds anything else: no study, a damaged one,
+    or one of another configuration; none of them is touched.
+    """
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        if not resume:
+            raise ValueError(
+                f"Argument `store` must be a path where there is nothing yet, but {path} "
+                "exists; go on with it by `resume=True` (--resume), or choose another."
+            )
+        _check(path, schema)
+        for rest in path.rglob("*.partial"):  # of a write that was interrupted
+            rest.unlink()
+        store = Store(path, schema)
+        store.verify()
+        return store
+    _create(path, schema)
+    return Store(path, schema)
+
+
+def stored_attributes(path: Path) -> dict[str, Any]:
+    """The attributes of the study at `path`.
+
+    **Raises:** `ValueError` where there is none, or its description is damaged.
+    """
+    meta = path / "zarr.json"
+    if not meta.is_file():
+        raise ValueError(
+            f"{path} is not a study of aslo_jax: it has no zarr.json. It is left as it is; "
+            "choose another path."
+        )
+    try:
+        content = json.loads(meta.read_text())
+        attributes = content["attributes"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise _damaged(path, "its zarr.json cannot be read") from error
+    if FORMAT not in attributes:
+        raise ValueError(
+            f"{path} is a Zarr group, but not a study of aslo_jax: it has no attribute "
+            f"`{FORMAT}`. It is left as it is; choose another path."
+        )
+    return attributes
+
+
+def _check(path: Path, schema: Schema) -> None:
+    if not path.is_dir():
+        raise ValueError(
+            f"{path} is a file, not a study of aslo_jax. It is left as it is; choose "
+            "another path."
+        )
+    attributes = stored_attributes(path)
+    if attributes[FORMAT] != VERSION:
+        raise ValueError(
+            f"{path} has version {attributes[FORMAT]} of the format of studies, but this "
+            f"aslo_jax writes version {VERSION}. It is left as it is; choose another path."
+        )
+    for name, now in _plain(schema.attributes).items():
+        was = attributes.get(name)
+        if was != now:
+            raise ValueError(
+                f"{path} holds a study with another `{name}`, and is left as it is: "
+                f"{_difference(was, now)}. Go on with the settings that it was begun with, "
+                "or choose another path."
+            )
+    _check_arrays(path, schema)
+
+
+def _check_arrays(path: Path, schema: Schema) -> None:
+    """Every array is there, with its shape, type and chunks."""
+    zarr = require("zarr", "study")
+    try:
+        group = zarr.open_group(str(path), mode="r", zarr_format=3)
+        for name, shape, chunks, dtype in _arrays(schema):
+            array = group[name]
+            if (array.shape, array.chunks, array.dtype) != (shape, chunks, dtype):
+                raise _damaged(path, f"its array `{name}` has another shape or type")
+    except (KeyError, OSError, TypeError) as error:
+        raise _damaged(path, f"an array is missing or cannot be read ({error})") from error
+
+
+def _arrays(
+    schema: Schema,
+) -> Iterator[tuple[str, tuple[int, ...], tuple[int, ...], np.dtype]]:
+    n, chunk = schema.samples, min(schema.chunk, schema.samples)
+    yield "sample", (n,), (chunk,), np.dtype(np.int64)
+    for name, v in schema.variables.items():
+        yield name, (n, *v.shape), (chunk, *(max(k, 1) for k in v.shape)), v.dtype
+    yield DONE, (schema.chunks,), (1,), np.dtype(np.int64)
+
+
+def _create(path: Path, schema: Schema) -> None:
+    """Beside its place first, so that it appears there complete."""
+    zarr = require("zarr", "study")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.partial")
+    if part.exists():  # of a process that was killed here
+        shutil.rmtree(part)
+    group = zarr.open_group(str(part), mode="w", zarr_format=3)
+    group.attrs.update(_plain(schema.attributes) | {FORMAT: VERSION})
+    dims = {"sample": ("sample",), DONE: ("chunk",)}
+    dims |= {name: v.dims for name, v in schema.variables.items()}
+    attributes = {name: v.attributes for name, v in schema.variables.items()}
+    attributes[DONE] = {"long_name": "checksum of each chunk of samples that is done"}
+    attributes |= schema.coordinate_attributes
+    for name, shape, chunks, dtype in _arrays(schema):
+        group.create_array(
+            name,
+            shape=shape,
+            chunks=chunks,
+            dtype=dtype,
+            fill_value=np.nan if dtype.kind == "f" else dtype.type(0),
+            dimension_names=dims[name],
+            attributes=attributes.get(name, {}),
+        )
+    for name, values in schema.coordinates.items():
+        text = values.dtype.kind == "U"  # of any length: those of fixed length are Python's
+        array = group.create_array(
+            name,
+            shape=values.shape,
+            chunks=values.shape,
+            dtype=str if text else values.dtype,
+            dimension_names=(name,),
+            attributes=attributes.get(name, {}),
+        )
+        array[:] = values.astype(object) if text else values
+    if path.exists():
+        path.rmdir()  # empty
+    part.rename(path)
+
+
+def _checksum(arrays: Any) -> int:
+    found = 0
+    for array in arrays:
+        found = zlib.crc32(np.ascontiguousarray(array).tobytes(), found)
+    return found
+
+
+def _damaged(path: Path, what: str) -> ValueError:
+    return ValueError(
+        f"{path} is a damaged study: {what}. It is left as it is; choose another path, or "
+        "remove it to start again."
+    )
+
+
+def _plain(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """As they come back from JSON."""
+    return json.loads(json.dumps(dict(attributes)))
+
+
+def _difference(was: Any, now: Any) -> str:
+    """The first thing that differs, in JSON texts and in plain values."""
+    try:
+        old, new = json.loads(was), json.loads(now)
+    except (TypeError, ValueError):
+        old, new = was, now
+    path = ""
+    while isinstance(old, dict) and isinstance(new, dict):
+        key = next(k for k in (*old, *new) if old.get(k) != new.get(k))
+        path, old, new = f"{path}.{key}" if path else key, old.get(key), new.get(key)
+    at = f"`{path}` was " if path else "it was "
+    return f"{at}{_short(old)}, now it is {_short(new)}"
+
+
+def _short(x: Any) -> str:
+    text = str(x)
+    return text if len(text) < 200 else f"{text[:200]}..."
