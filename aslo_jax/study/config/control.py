@@ -5,7 +5,6 @@ import math
 from typing import Annotated, Any, ClassVar, Literal
 
 import equinox as eqx
-
 from pydantic import Field
 
 from ...control import (

@@ -1,4 +1,4 @@
-"""`[machine]` of a study: that of a machine description, and what drives it from outside."""
+"""`[machine]` of a study: that of a machine description, and what acts on it."""
 
 import abc
 from typing import Annotated, Any, ClassVar, Literal

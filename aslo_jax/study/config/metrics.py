@@ -34,11 +34,18 @@ def _joined(units: tuple[str, ...]) -> str:
     return units[0] if len(set(units)) == 1 else ", ".join(units)
 
 
+def _norm(wanted: bool) -> dict[str, Any]:
+    return {"norm": True} if wanted else {}
+
+
 class AbstractErrorTable(AbstractMetricTable, abc.ABC):
     """A size of the error."""
 
     after: NonNegative = key("when it begins to count", "s", default=0.0)
     norm: bool = key("of the whole error, not of each entry", default=False)
+
+    def settings(self) -> dict[str, Any]:
+        return {"after": self.after} | _norm(self.norm)
 
 
 class RMSTable(AbstractErrorTable):
@@ -47,7 +54,7 @@ class RMSTable(AbstractErrorTable):
     kind: Literal["rms"] = key("the kind of metric")
 
     def build(self, plant):
-        return functools.partial(metrics.RMSError, after=self.after, norm=self.norm)
+        return functools.partial(metrics.RMSError, **self.settings())
 
     def unit(self, units):
         return _joined(units)
@@ -59,7 +66,7 @@ class PeakTable(AbstractErrorTable):
     kind: Literal["peak"] = key("the kind of metric")
 
     def build(self, plant):
-        return functools.partial(metrics.PeakError, after=self.after, norm=self.norm)
+        return functools.partial(metrics.PeakError, **self.settings())
 
     def unit(self, units):
         return _joined(units)
@@ -71,8 +78,7 @@ class IntegralTable(AbstractErrorTable):
     kind: Literal["integral_squared"] = key("the kind of metric")
 
     def build(self, plant):
-        settings = dict(after=self.after, norm=self.norm)
-        return functools.partial(metrics.IntegralSquaredError, **settings)
+        return functools.partial(metrics.IntegralSquaredError, **self.settings())
 
     def unit(self, units):
         return _joined(tuple(f"({unit})^2 s" for unit in units))
@@ -85,7 +91,7 @@ class FinalTable(AbstractMetricTable):
     norm: bool = key("of the whole error, not of each entry", default=False)
 
     def build(self, plant):
-        return functools.partial(metrics.FinalError, norm=self.norm)
+        return functools.partial(metrics.FinalError, **_norm(self.norm))
 
     def unit(self, units):
         return _joined(units)
