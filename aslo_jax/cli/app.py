@@ -15,9 +15,10 @@ except ModuleNotFoundError as error:
 from .estimate import HELP, estimate
 from .paper import paper
 from .sample import sample
+from .study import HELP as STUDY_HELP, study
 
 app = typer.Typer(
-    help="Differentiable state observers over recorded logs and the paper's experiments.",
+    help="Differentiable state observers: recorded logs, studies, the paper's experiments.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -40,10 +41,11 @@ def start(
         ),
     ] = None,
 ) -> None:
-    """Differentiable state observers over recorded logs and the paper's experiments."""
+    """Differentiable state observers: recorded logs, studies, the paper's experiments."""
     jax.config.update("jax_enable_x64", True)
 
 
 app.command(help=HELP)(estimate)
 app.command()(sample)
 app.command()(paper)
+app.command(help=STUDY_HELP)(study)

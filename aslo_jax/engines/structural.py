@@ -296,5 +296,9 @@ STRUCTURAL: dict[str, Callable] = {
     "split": lambda g, e, x: np.split(
         x, np.cumsum(e.params["sizes"])[:-1], e.params["axis"]
     ),
+    "unstack": lambda g, e, x: [
+        np.take(x, [k], e.params["axis"]).squeeze(e.params["axis"])
+        for k in range(x.shape[e.params["axis"]])
+    ],
     "optimization_barrier": lambda g, e, *xs: list(xs),
 }

@@ -1,0 +1,123 @@
+"""`aslo-jax study`: an experiment over thousands of samples of its parameters."""
+
+import time
+from contextlib import ExitStack
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .._extras import require
+from ..study import open_study, run
+from ..study.cluster import local_cluster
+from ..study.config import NAMES, read_configuration
+
+STORE = "study.zarr"
+
+
+class Engine(StrEnum):
+    """The engines of [`run_batch`][]."""
+
+    auto = "auto"
+    fused = "fused"
+    scan = "scan"
+
+
+HELP = f"""Run a study: many experiments that differ by a spread of their parameters and by
+their noise, as CONFIG describes them, a TOML file or one of the ready-made
+{", ".join(NAMES)}.
+
+In the directory --out appear {STORE}, which xarray opens, with every metric, every
+parameter and decimated errors, and a report. The results depend on the configuration, the
+number of samples and the seed only: not on --chunk, --workers or --cluster, and not on
+whether the study was interrupted and resumed.
+"""
+
+
+def study(
+    config: Annotated[str, typer.Argument(help="A TOML file, or a ready-made name.")],
+    samples: Annotated[int, typer.Option(min=1, help="How many experiments.")],
+    out: Annotated[Path, typer.Option(help="Directory for the results; made if needed.")],
+    seed: Annotated[int, typer.Option(min=0, help="Of everything that is random.")] = 0,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with a study that was interrupted.")
+    ] = False,
+    engine: Annotated[
+        Engine, typer.Option(help="Compiled to machine code, or by XLA.")
+    ] = Engine.auto,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Run on the Dask cluster with this scheduler, which must reach --out "
+            "under the same path.",
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, help="Run on so many processes of this machine, by Dask."),
+    ] = None,
+    chunk: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Samples at a time, rounded up to a multiple of 256; by default 1024, or "
+            "those of the study that is resumed.",
+        ),
+    ] = None,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Neither summary nor progress.")
+    ] = False,
+) -> None:
+    """Run a study; its help is [`HELP`][]."""
+    if cluster is not None and workers is not None:
+        raise ValueError("--cluster and --workers exclude each other; give one of them.")
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"--out must be a directory, but {out} is a file.")
+    for package in ("zarr", "xarray", "tqdm"):
+        require(package, "study")
+    configuration = read_configuration(config)
+    begun = time.perf_counter()
+    with ExitStack() as stack:
+        client = None
+        if workers is not None:
+            client = stack.enter_context(local_cluster(workers))
+        elif cluster is not None:
+            distributed = require("dask.distributed", "study")
+            client = stack.enter_context(distributed.Client(cluster))
+        run(
+            configuration.experiment,
+            configuration.spread,
+            samples=samples,
+            seed=seed,
+            engine=engine.value,
+            store=out / STORE,
+            resume=resume,
+            client=client,
+            chunk=chunk,
+            progress=not quiet,
+            **configuration.settings,
+        )
+    spent = time.perf_counter() - begun
+    if not quiet:
+        _summary(configuration.title, open_study(out / STORE), spent)
+
+
+def _summary(title: str, dataset, spent: float) -> None:
+    """Medians of every metric by observer, for a first look."""
+    steps = dataset.sizes["sample"] * dataset.attrs["steps"]
+    typer.echo(
+        f"{title}: {dataset.sizes['sample']} samples of {dataset.attrs['steps']} steps, "
+        f"{spent:.3g} s, {steps / spent:.3g} trajectory-steps per second, "
+        f"engine {dataset.attrs['engine']}"
+    )
+    for name, variable in dataset.data_vars.items():
+        if "observer" not in variable.dims or "time" in variable.dims:
+            continue
+        unit = variable.attrs["units"]
+        typer.echo(f"{name}{f' ({unit})' if unit not in ('', '1') else ''}, median:")
+        for observer in dataset["observer"].values:
+            middle = variable.sel(observer=observer).astype(float).median("sample")
+            numbers = ", ".join(f"{float(x):.3g}" for x in middle.values.reshape(-1))
+            typer.echo(f"  {observer}: {numbers}")
