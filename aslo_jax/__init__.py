@@ -19,7 +19,12 @@ from .completions import (
     LeastSquares as LeastSquares,
     Repeat as Repeat,
 )
-from .engines import Batch as Batch, NotFusible as NotFusible, run_batch as run_batch
+from .engines import (
+    Batch as Batch,
+    NotFusible as NotFusible,
+    Runner as Runner,
+    run_batch as run_batch,
+)
 from .experiment import Experiment as Experiment, Record as Record
 from .filters import (
     AbstractFilter as AbstractFilter,

@@ -57,7 +57,7 @@ def _uniform(word: int, seed: int, start: int, stop: int) -> Float[np.ndarray, "
 
 
 def _generator(seed: int) -> np.random.Generator:
-    return np.random.Generator(np.random.Philox(key=[seed, 0]))
+    return np.random.Generator(np.random.Philox(seed))
 
 
 class _Sobol:

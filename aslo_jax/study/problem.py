@@ -56,9 +56,9 @@ class Problem:
                 f"Argument `every` must divide the number of steps, {self.steps}, but got "
                 f"{self.every}."
             )
-        if self.samples > 2**32:
+        if self.samples > 2**31:
             raise ValueError(
-                f"Argument `samples` must be at most 2**32, but got {self.samples}."
+                f"Argument `samples` must be at most 2**31, but got {self.samples}."
             )
 
     @property
@@ -96,7 +96,7 @@ class Study:
         }
         scale = None if problem.scale is None else jnp.asarray(problem.scale)
         norms = ErrorNorms(tuple(problem.observers), scale)
-        sample = self.sampler(np.zeros(1), np.ones((1, len(self.sampler.names))))
+        sample = self.sampler(np.zeros(1, int), np.ones((1, len(self.sampler.names))))
         self.runner = Runner(
             self.sampler.make,
             jax.tree.map(lambda x: x[0], sample),

@@ -107,7 +107,6 @@ class Sampler:
     def __call__(self, index: np.ndarray, values: np.ndarray) -> dict[str, Any]:
         """The samples of these indices and numbers, for `make`."""
         columns = [jnp.asarray(values[:, k]) for k in range(values.shape[1])]
-        index = np.asarray(index).astype(np.uint32)
         keys = sample_keys(self.keys, index)
         return {"index": jnp.asarray(index), "values": columns, "keys": keys}
 

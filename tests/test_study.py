@@ -1,0 +1,327 @@
+"""Studies: the same bits however they are cut, interrupted, or spread over processes."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import studies
+import xarray
+
+import aslo_jax as aslo
+from aslo_jax.metrics import RMSError
+from aslo_jax.study import open_study, run
+from aslo_jax.study.cluster import local_cluster
+from aslo_jax.study.problem import BLOCK
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture(scope="module")
+def whole():
+    """In one piece, in memory."""
+    return studies.run_study()
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """Chunk by chunk, by one thread, in a store."""
+    path = tmp_path_factory.mktemp("study") / "run.zarr"
+    studies.run_study(store=path, chunk=1, threads=1)
+    return path
+
+
+def copied(stored, tmp_path):
+    return Path(shutil.copytree(stored, tmp_path / "run.zarr"))
+
+
+def assert_same(a: xarray.Dataset, b: xarray.Dataset) -> None:
+    """Bit for bit, NaN and infinity included."""
+    assert list(a.data_vars) == list(b.data_vars)
+    for name in (*a.data_vars, *a.coords):
+        assert a[name].dims == b[name].dims
+        assert a[name].attrs == b[name].attrs
+        x, y = a[name].values, b[name].values
+        assert x.dtype == y.dtype
+        assert x.tobytes() == y.tobytes(), name
+
+
+def test_what_a_study_returns(whole):
+    sizes = {"sample": 600, "observer": 2, "entry": 1, "time": 3}
+    assert dict(whole.sizes) == sizes
+    assert whole["rms"].dims == ("sample", "observer", "entry")
+    assert whole["settled"].dims == ("sample", "observer")
+    assert whole["error"].dims == ("sample", "time", "observer")
+    assert whole["time"].values.tolist() == [0.0, 0.1, 0.2]
+    assert whole["observer"].values.tolist() == ["ASLO", "Luenberger"]
+    assert np.isinf(whole["settled"]).any()
+    attributes = whole.attrs
+    assert attributes["aslo_jax_study"] == 1
+    assert attributes["seed"] == "3"
+    assert attributes["engine"] == "fused"
+    assert json.loads(attributes["versions"])["jax"] == jax.__version__
+    assert "LowPass" in json.loads(attributes["configuration"])["experiment"]
+
+
+def test_a_study_is_what_its_samples_are(whole):
+    """One sample by hand: its parameters, and the noise of the study, sample and time."""
+    k = 321
+    rate, speed, noise = (
+        float(whole[f"parameter_{name}"][k]) for name in ("rate", "speed", "noise")
+    )
+    assert -1.0 < speed < 1.0
+    word = aslo.random.key(studies.SEED)
+    part = jnp.stack(aslo.random.threefry(aslo.random.key(0), word[0], word[1]))
+    key = aslo.random.fold(part, k)
+    plant = aslo.plants.IntegratorChain(2)
+    observer = aslo.AlgebraicObserver(plant.relation(), aslo.LowPass(rate))
+    x, y = np.array([0.0, speed]), []
+    for i in range(21):
+        y.append(x[0] + noise * float(aslo.random.normal(key, i)))
+        u, h = float(studies.signal(i * studies.INTERVAL)), studies.INTERVAL
+        x = np.array([x[0] + h * x[1] + h * h / 2 * u, x[1] + h * u])
+    t = np.arange(21) * studies.INTERVAL
+    u = np.asarray(studies.signal(t))
+    estimate = aslo.replay(observer, t, u, np.array(y)).value[:, 0]
+    truth = speed + np.concatenate([[0.0], np.cumsum(studies.INTERVAL * u[:-1])])
+    rms = np.sqrt(np.mean((np.asarray(estimate) - truth) ** 2))
+    assert float(whole["rms"][k, 0, 0]) == pytest.approx(rms, rel=1e-9)
+    error = np.abs(np.asarray(estimate) - truth)[[0, 10, 20]]
+    np.testing.assert_allclose(whole["error"][k, :, 0], error, rtol=1e-9)
+
+
+def test_chunks_and_threads_change_no_bits(whole, stored):
+    found = open_study(stored)
+    assert found.attrs["chunk"] == BLOCK
+    assert_same(whole, found)
+
+
+def test_scan_runs_in_blocks():
+    """A sample has the same bits in a batch of one block, of several, and at the end."""
+    samples = jnp.linspace(1.0, 9.0, 2 * 16 + 5)
+
+    def make(rate):
+        e = studies.experiment()
+        observer = aslo.AlgebraicObserver(e.plant.relation(), aslo.LowPass(rate))
+        return aslo.Experiment(e.plant, e.controller, {"ASLO": observer}, 0.01)
+
+    runner = aslo.Runner(
+        make, samples[0], 20, metrics={"rms": RMSError("ASLO")}, engine="scan", block=16
+    )
+    assert runner.engine == "scan"
+    assert runner.shapes.metrics["rms"].shape == (1,)
+    all_of_them = np.asarray(runner(samples).metrics["rms"])
+    assert all_of_them.shape == (37, 1)
+    for first, last in ((0, 16), (16, 37), (32, 37)):
+        piece = np.asarray(runner(samples[first:last]).metrics["rms"])
+        np.testing.assert_array_equal(piece, all_of_them[first:last])
+    fused = aslo.Runner(
+        make, samples[0], 20, metrics={"rms": RMSError("ASLO")}, engine="fused"
+    )
+    np.testing.assert_allclose(fused(samples).metrics["rms"], all_of_them, rtol=1e-9)
+
+
+# ---- interrupted ---------------------------------------------------------------------
+
+KILLED = """
+import os, signal, sys, jax
+jax.config.update("jax_enable_x64", True)
+import zarr
+from studies import run_study
+
+count, write = 0, zarr.Array.__setitem__
+
+def counted(array, place, value):
+    global count
+    count += array.ndim > 0 and array.shape[0] == 600 or array.path == "done"
+    if count == {count}:
+        os.kill(os.getpid(), signal.SIGKILL)
+    write(array, place, value)
+
+zarr.Array.__setitem__ = counted
+run_study(store=sys.argv[1], chunk=256)
+"""
+
+
+def test_killed_while_it_writes(whole, tmp_path):
+    """SIGKILL within the second of three chunks, some of its variables written."""
+    path = tmp_path / "run.zarr"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED.format(count=13), str(path)],
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    half = xarray.open_zarr(path, consolidated=False)
+    assert (half["done"].values != 0).tolist() == [True, False, False]
+    assert np.isfinite(half["parameter_rate"][:256]).all()
+    assert np.isnan(half["parameter_rate"][512:]).all()
+    resumed = studies.run_study(store=path, resume=True)
+    assert_same(whole, resumed)
+
+
+def test_half_written_and_left_over_files(whole, stored, tmp_path):
+    """A chunk without its mark is computed again, whatever its files hold."""
+    path = copied(stored, tmp_path)
+    (path / "done" / "c" / "1").unlink()
+    (path / "rms" / "c" / "1" / "0" / "0").write_bytes(b"half")
+    left = path / "rms" / "c" / "1" / "0" / "0.1234.partial"
+    left.write_bytes(b"of a write")
+    beside = tmp_path / ".run.zarr.partial"
+    beside.mkdir()
+    assert_same(whole, studies.run_study(store=path, resume=True))
+    assert not left.exists()
+
+
+def test_killed_while_the_store_is_made(whole, tmp_path):
+    beside = tmp_path / ".run.zarr.partial"
+    beside.mkdir()
+    (beside / "zarr.json").write_text("{")
+    path = tmp_path / "run.zarr"
+    assert_same(whole, studies.run_study(store=path, resume=True))
+    assert not beside.exists()
+
+
+# ---- refused -------------------------------------------------------------------------
+
+
+def snapshot(path: Path) -> dict[str, bytes]:
+    return {str(p): p.read_bytes() for p in sorted(path.rglob("*")) if p.is_file()}
+
+
+def refused(path: Path, message: str, **changes) -> None:
+    """With a clear error, and every file as it was."""
+    before = snapshot(path)
+    with pytest.raises(ValueError, match=message):
+        studies.run_study(store=path, **({"resume": True} | changes))
+    assert snapshot(path) == before
+
+
+def test_existing_store_is_refused(stored):
+    refused(stored, "exists; go on with it by `resume=True`", resume=False)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (dict(seed=4), "another `seed`.*it was 3, now it is 4"),
+        (dict(samples=700), "another `samples`.*it was 600, now it is 700"),
+        (dict(metrics={"rms": RMSError}), "another `configuration`.*`metrics.settled` was"),
+        (dict(chunk=512), "another `chunk`"),
+    ],
+)
+def test_store_of_other_settings_is_refused(stored, changes, message):
+    refused(stored, message, **changes)
+
+
+def test_store_of_other_parameters_is_refused(stored):
+    experiment = studies.experiment()
+    noise = experiment.sensor.deviation * (1 + 1e-15)
+    changed = jax.tree.map(lambda x: x, experiment)
+    object.__setattr__(changed.sensor, "deviation", noise)
+    before = snapshot(stored)
+    with pytest.raises(ValueError, match="another `(configuration|fingerprint)`"):
+        run(changed, studies.SPREAD, **studies.settings(store=stored, resume=True))
+    assert snapshot(stored) == before
+
+
+def _flip(path):
+    file = path / "error" / "c" / "2" / "0" / "0"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(bytes(data))
+
+
+def _versions(path):
+    file = path / "zarr.json"
+    content = json.loads(file.read_text())
+    content["attributes"]["versions"] = json.dumps({"jax": "0.0.1"})
+    file.write_text(json.dumps(content))
+
+
+def _foreign(path):
+    file = path / "zarr.json"
+    file.write_text(json.dumps({"zarr_format": 3, "node_type": "group", "attributes": {}}))
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (_flip, "damaged study: chunk 2"),
+        (lambda p: (p / "rms/c/0/0/0").unlink(), "damaged study: chunk 0 is not what was"),
+        (lambda p: (p / "rms/zarr.json").unlink(), "damaged study: an array is missing"),
+        (lambda p: (p / "zarr.json").write_text("{"), "its zarr.json cannot be read"),
+        (lambda p: (p / "zarr.json").unlink(), "not a study of aslo_jax"),
+        (_foreign, "Zarr group, but not a study of aslo_jax"),
+        (_versions, "another `versions`.*`jax` was 0.0.1"),
+    ],
+)
+def test_damaged_and_foreign_stores_are_refused(stored, tmp_path, damage, message):
+    path = copied(stored, tmp_path)
+    damage(path)
+    refused(path, message)
+
+
+def test_opening_what_is_no_study(tmp_path):
+    with pytest.raises(ValueError, match="not a study of aslo_jax"):
+        open_study(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (dict(samples=0), "`samples` must be a whole number from 1, but got 0"),
+        (dict(seed=-1), "`seed` must be an integer"),
+        (dict(every=7), "`every` must divide the number of steps, 20, but got 7"),
+        (dict(horizon=1.0), "One of the arguments `steps` and `horizon`"),
+        (dict(steps=None, horizon=0.015), "whole number of the experiment's intervals"),
+        (dict(chunk=0), "`chunk` must be a whole number from 1"),
+    ],
+)
+def test_refused_arguments(changes, message):
+    with pytest.raises(ValueError, match=message):
+        studies.run_study(**changes)
+
+
+# ---- on several processes ------------------------------------------------------------
+
+
+def test_worker_killed(tmp_path):
+    """Two workers of a real cluster, one killed once the first chunks are done; the bits
+    are those of one process, in a store and in memory."""
+    many = dict(samples=20 * BLOCK, steps=1000, every=500, chunk=BLOCK)
+    path = tmp_path / "run.zarr"
+    killed = []
+    with local_cluster(2) as client:
+        workers = client.run(os.getpid)
+
+        def kill():
+            while len(list(path.glob("done/c/*"))) < 2:
+                time.sleep(0.005)
+            killed.append(len(list(path.glob("done/c/*"))))
+            os.kill(next(iter(workers.values())), signal.SIGKILL)
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        found = studies.run_study(store=path, client=client, **many)
+        killer.join()
+        assert killed[0] < 20
+        alone = studies.run_study(**many)
+        assert_same(alone, found)
+
+
+def test_a_sample_does_not_depend_on_how_many_there_are(whole):
+    again = studies.run_study(samples=1)
+    assert float(again["parameter_rate"][0]) == float(whole["parameter_rate"][0])
+    np.testing.assert_array_equal(again["rms"][0], whole["rms"][0])
