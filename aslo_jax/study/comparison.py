@@ -2,8 +2,8 @@
 whether chance could have done it."""
 
 import itertools
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.stats
@@ -80,10 +80,14 @@ def compare(
 
 
 def ranking(
-    values: Mapping[str, Float[np.ndarray, " N"]], confidence: float = 0.95
+    values: Mapping[str, Float[np.ndarray, " N"]],
+    confidence: float = 0.95,
+    comparisons: Sequence[Comparison] | None = None,
 ) -> list[Place]:
-    """The observers from the best to the worst on a metric, as of [`compare`][]."""
-    comparisons = compare(values, confidence)
+    """The observers from the best to the worst on a metric, from the `comparisons` that
+    [`compare`][] makes of the same arguments where they are not given."""
+    if comparisons is None:
+        comparisons = compare(values, confidence)
     beaten = dict.fromkeys(values, 0)
     for comparison in comparisons:
         if comparison.better is not None:
@@ -142,11 +146,12 @@ def _test(
     finite = np.abs(d[np.isfinite(d)])
     far = 2.0 * finite.max(initial=0.5)
     d = np.clip(d, -far, far)
-    less, greater = (
-        scipy.stats.wilcoxon(d, zero_method="pratt", alternative=side)
-        for side in ("less", "greater")
-    )
-    return ratio, wins, ties, float(less[1]), float(greater[1])
+    return ratio, wins, ties, _signed_rank(d, "less"), _signed_rank(d, "greater")
+
+
+def _signed_rank(d: Float[np.ndarray, " N"], side: str) -> float:
+    found: Any = scipy.stats.wilcoxon(d, zero_method="pratt", alternative=side)
+    return float(found.pvalue)
 
 
 def _inverse(x: float) -> float:

@@ -1,0 +1,52 @@
+"""Numbers in print."""
+
+import math
+
+from .statistics import Interval
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def number(x: float, digits: int = 3) -> str:
+    """`x` with so many significant digits; powers of ten where it is large or small."""
+    if math.isnan(x):
+        return "–"
+    if math.isinf(x):
+        return "∞" if x > 0 else "−∞"
+    if x == 0.0:
+        return "0"
+    exponent = int(f"{x:.{digits - 1}e}".partition("e")[2])
+    if -3 <= exponent < digits + 2:
+        text = f"{x:.{max(0, digits - 1 - exponent)}f}"
+    else:
+        text = f"{x / 10.0**exponent:.{digits - 1}f}×{power(exponent)}"
+    return text.replace("-", "−")
+
+
+def power(exponent: int) -> str:
+    """`10` with a raised exponent."""
+    return "10" + str(exponent).translate(_RAISED)
+
+
+def interval(x: Interval, scale: float = 1.0) -> str:
+    """The ends of an interval, divided by `scale`."""
+    return f"{number(x.low / scale)} to {number(x.high / scale)}"
+
+
+def percent(x: float) -> str:
+    """A proportion in per cent."""
+    return f"{number(100.0 * x)} %"
+
+
+def exponent_of(values: list[float]) -> int:
+    """A power of a thousand by which to divide values so that they read well."""
+    found = [abs(x) for x in values if math.isfinite(x) and x != 0.0]
+    if not found:
+        return 0
+    least = 3 * math.floor(math.log10(min(found)) / 3.0)
+    return 0 if min(found) >= 0.01 and max(found) < 1e4 else least
+
+
+def chance(p: float) -> str:
+    """A value of p."""
+    return "< 0.0001" if p < 1e-4 else f"{p:.4f}"
