@@ -3,7 +3,7 @@
 import functools
 import sys
 
-from . import import_time, pmsm, replay, reversal
+from . import import_time, pmsm, replay, reversal, tuning
 
 quick = "--quick" in sys.argv
 BENCHMARKS = {
@@ -11,6 +11,7 @@ BENCHMARKS = {
     "replay": replay.main,
     "reversal": reversal.main,
     "pmsm": functools.partial(pmsm.main, quick),
+    "tuning": functools.partial(tuning.main, quick),
 }
 
 if __name__ == "__main__":

@@ -150,10 +150,10 @@ def _by_position(graph, equation, *arguments):
             rest[k] = known(graph, argument)
             if rest[k] is None:
                 raise Unsupported("its indices are not known when it is traced")
-    operands = [jnp.asarray(rest.get(k, moved[k])) for k in range(len(moved))]
     params = dict(equation.params)
     filling = {"fill_value": -1} if "fill_value" in params else {}
     with jax.ensure_compile_time_eval():
+        operands = [jnp.asarray(rest.get(k, moved[k])) for k in range(len(moved))]
         found = np.asarray(equation.primitive.bind(*operands, **(params | filling)))
     if (found < 0).any():
         raise Unsupported("it reads beyond its operand")

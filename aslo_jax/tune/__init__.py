@@ -1,6 +1,14 @@
 """Tuning by gradients: losses, the descent, design charts."""
 
 from . import losses as losses
+from .chart import (
+    Front as Front,
+    Surface as Surface,
+    design_chart as design_chart,
+    pareto as pareto,
+    plot_history as plot_history,
+    surface as surface,
+)
 from .descent import History as History
 from .fit import Fitted as Fitted, fit as fit
 from .stationary import stationary_variance as stationary_variance

@@ -21,12 +21,14 @@ CONVERGED, STALLED, LIMIT, NOT_FINITE = (
 class Limits(NamedTuple):
     """When a descent ends: after `steps` iterations; at a gradient (of the loss in
     logarithms of the leaves, say) below `tolerance` times the loss; when the loss has not
-    fallen by the part `improvement` of itself in `patience` iterations."""
+    fallen by the part `improvement` of itself in `patience` iterations. If not `relative`,
+    the size of the loss counts as one."""
 
     steps: int
     tolerance: float
     improvement: float
     patience: int
+    relative: bool = True
 
 
 class History(NamedTuple):
@@ -81,7 +83,8 @@ class Descent:
         state = self.optimiser.init(z)
         known = self.slope(z, data)
         size = jnp.abs(known[0])
-        size = jnp.where(jnp.isfinite(size) & (size > 0), size, 1.0)
+        usable = jnp.isfinite(size) & (size > 0) & self.limits.relative
+        size = jnp.where(usable, size, 1.0)
         points, losses, norms = [], [], []
         while True:
             value, gradient = float(known[0]), np.asarray(known[1])
@@ -111,14 +114,16 @@ class Descent:
         if not (np.isfinite(value) and np.isfinite(norm)):
             return NOT_FINITE
         # A loss of zero has no relative slope: what counts then is what it began with.
-        if norm <= limits.tolerance * max(abs(value), 1e-9 * abs(losses[0])):
+        size = max(abs(value), 1e-9 * abs(losses[0])) if limits.relative else 1.0
+        if norm <= limits.tolerance * size:
             return CONVERGED
         k = len(losses) - 1
         if k and np.array_equal(points[-1], points[-2]):
             return STALLED
         if k >= limits.patience:
             before = min(losses[: -limits.patience])
-            if not min(losses) < before - limits.improvement * abs(before):
+            size = abs(before) if limits.relative else 1.0
+            if not min(losses) < before - limits.improvement * size:
                 return STALLED
         return LIMIT if k >= limits.steps else ""
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, PyTree
 from .. import random
 from .coordinates import Bound, Coordinates
 from .descent import Descent, History, Limits, progress_bar
-from .gradients import slope
+from .gradients import Slope, slope
 from .losses import AbstractLoss
 
 # Parameters up to which forward mode is the default for a function of one's own.
@@ -127,10 +127,11 @@ def fit(
     key = random.key(0) if key is None else key
     coordinates = Coordinates(tree, where, bounds, scale)
     points = coordinates.starts(starts)
-    mode = chosen(mode, loss, coordinates, key)
-    function = slope(objective(loss, coordinates, mode), mode)
+    mode, function = sloped(mode, loss, coordinates, key)
     descent = Descent(
-        function, _default(optimiser), Limits(steps, tolerance, improvement, patience)
+        function,
+        default_optimiser(optimiser),
+        Limits(steps, tolerance, improvement, patience),
     )
     advance, close = progress_bar(starts * (steps + 1), progress)
     runs = [descent.run(start, key, advance) for start in points]
@@ -154,27 +155,33 @@ def objective(loss: Loss, coordinates: Coordinates, mode: str):
     return value
 
 
-def chosen(mode: str, loss: Loss, coordinates: Coordinates, key: random.Key) -> str:
-    """`mode`, or the one that `"auto"` stands for."""
+def sloped(
+    mode: str, loss: Loss, coordinates: Coordinates, key: random.Key
+) -> tuple[str, Slope]:
+    """The mode (`"auto"` no more) and the compiled loss with its gradient."""
+
+    def compiled(mode):
+        return mode, slope(objective(loss, coordinates, mode), mode)
+
     if mode != "auto":
-        return mode
+        return compiled(mode)
     most = loss.most_forward if isinstance(loss, AbstractLoss) else FORWARD
     if coordinates.size > most:
-        return "reverse"
-    if isinstance(loss, AbstractLoss):
-        return "forward"
-    function = objective(loss, coordinates, "forward")
-    z = jnp.asarray(coordinates.inverse(coordinates.start))
+        return compiled("reverse")
+    found = compiled("forward")
     try:
-        jax.eval_shape(lambda z: jax.jvp(lambda z: function(z, key), (z,), (z,)), z)
-    except (TypeError, NotImplementedError):
+        found[1](jnp.asarray(coordinates.inverse(coordinates.start)), key)
+    except (TypeError, NotImplementedError) as error:
         # JAX's and equinox's refusals to push forward through what only pulls back, such
         # as diffrax's default adjoint.
-        return "reverse"
-    return "forward"
+        if "forward-mode" not in str(error):
+            raise
+        return compiled("reverse")
+    return found
 
 
-def _default(optimiser: Any) -> Any:
+def default_optimiser(optimiser: Any) -> Any:
+    """The given one, or L-BFGS with its line search."""
     import optax
 
     return optax.lbfgs() if optimiser is None else optimiser

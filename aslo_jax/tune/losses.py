@@ -257,7 +257,7 @@ class Recorded(AbstractLoss):
     t: Any
     u: PyTree
     y: PyTree
-    truth: Float[Array, "N n"]
+    truth: Float[Array, "N n"] = eqx.field(converter=real)
     after: float = eqx.field(static=True, default=0.0)
     scale: Float[Array, "*n"] = eqx.field(converter=real, default=1.0)
     substeps: int = eqx.field(static=True, default=1)
