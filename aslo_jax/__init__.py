@@ -12,6 +12,7 @@ from . import (
     plants as plants,
     random as random,
     study as study,
+    tune as tune,
 )
 from .completions import (
     AbstractCompletion as AbstractCompletion,

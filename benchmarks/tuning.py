@@ -24,7 +24,8 @@ def monte_carlo(case, samples: int = SAMPLES, steps: int | None = None):
     from .section3 import NAME
 
     metric = losses.MeanSquare(NAME, case.after, case.scale)
-    return losses.MonteCarlo(case.place, metric, samples, steps or case.steps)
+    length = case.steps if steps is None else steps
+    return losses.MonteCarlo(case.place, metric, samples=samples, steps=length)
 
 
 def fitted(case, start=(5.0, 5.0), samples: int = SAMPLES, **settings: Any):
@@ -127,8 +128,15 @@ def optimisers() -> list[tuple[str, int, float]]:
     traces = {}
     for name, optimiser in contenders.items():
         seen.clear()
-        settings = dict(where=lambda g: g, steps=60, patience=60, optimiser=optimiser)
-        tune.fit(jnp.array([5.0, 5.0]), counted, mode="forward", **settings)
+        tune.fit(
+            jnp.array([5.0, 5.0]),
+            counted,
+            where=lambda g: g,
+            optimiser=optimiser,
+            steps=60,
+            patience=60,
+            mode="forward",
+        )
         jax.effects_barrier()
         traces[name] = np.array(seen)
     least = min(t.min() for t in traces.values())

@@ -3,13 +3,12 @@
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
-from jaxtyping import Array
 
-from ..observers import AbstractObserver, ObserverState
+from ..observers import AbstractObserver
+from ..tune.stationary import linearised
+
+_matrices = eqx.filter_jit(linearised)
 
 
 class Realisation(NamedTuple):
@@ -59,23 +58,3 @@ def realisation(observer: AbstractObserver) -> Realisation:
     """The matrices of a linear observer of scalar u and y, by differentiating its
     `vector_field` and `estimate` at the origin."""
     return Realisation(*(np.asarray(M) for M in _matrices(observer)))
-
-
-@eqx.filter_jit
-def _matrices(observer: AbstractObserver) -> tuple[Array, ...]:
-    zero = jnp.zeros(())
-    states, unravel = ravel_pytree(observer.init(zero, zero).states)
-
-    def state(X):
-        return ObserverState(unravel(X), zero)
-
-    def flow(X, w):
-        return ravel_pytree(observer.vector_field(zero, state(X), w[0], w[1]).states)[0]
-
-    def estimate(X, w):
-        return observer.estimate(zero, state(X), w[0], w[1]).value
-
-    w = jnp.zeros(2)
-    A, B = jax.jacfwd(flow, (0, 1))(states, w)
-    C, D = jax.jacfwd(estimate, (0, 1))(states, w)
-    return A, B, C, D

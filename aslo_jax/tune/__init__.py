@@ -5,6 +5,7 @@ from .chart import (
     Front as Front,
     Surface as Surface,
     design_chart as design_chart,
+    front_chart as front_chart,
     pareto as pareto,
     plot_history as plot_history,
     surface as surface,

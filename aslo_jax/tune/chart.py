@@ -190,3 +190,20 @@ def pareto(
         np.stack([np.asarray(x) for x in column]) for column in zip(*rows, strict=True)
     ]
     return Front(weights, *found)
+
+
+def front_chart(
+    front: Front, *, names: tuple[str, str] = ("transient", "noise"), axes: Any = None
+) -> Any:
+    """Draw a front, on the samples it was found with and on fresh ones, with the weights
+    beside its points. Returns the axes of matplotlib (the extra `plot`)."""
+    pyplot = require("matplotlib.pyplot", "plot")
+    if axes is None:
+        axes = pyplot.subplots(figsize=(6.5, 4.5), layout="constrained")[1]
+    axes.loglog(*front.costs.T, "o-", color="C0", label="training")
+    axes.loglog(*front.validation.T, "x--", color="C1", label="unseen samples")
+    for weight, point in zip(front.weights, front.costs, strict=True):
+        axes.annotate(f"w = {weight:.2g}", point, xytext=(6, 4), textcoords="offset points")
+    axes.set(xlabel=names[0], ylabel=names[1])
+    axes.legend()
+    return axes

@@ -7,6 +7,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
@@ -20,7 +21,7 @@ from ..observers import AbstractObserver
 from ..replay import replay
 from .checkpoints import checkpointed
 
-Reduction = Callable[[Float[Array, " N"]], Float[Array, ""]]
+Reduction = Callable[[Float[Array, "N *costs"]], Float[Array, "*costs"]]
 
 
 class AbstractLoss(eqx.Module):
@@ -41,9 +42,9 @@ class AbstractLoss(eqx.Module):
 # ---- reductions over the samples of a batch ------------------------------------------
 
 
-def mean(costs: Float[Array, " N"]) -> Float[Array, ""]:
-    """The mean over the batch."""
-    return jnp.mean(costs)
+def mean(costs: Float[Array, "N *costs"]) -> Float[Array, "*costs"]:
+    """The mean over the batch, of one cost or of several."""
+    return jnp.mean(costs, axis=0)
 
 
 def worst(costs: Float[Array, " N"]) -> Float[Array, ""]:
@@ -143,6 +144,30 @@ class NoiseAndTransient(AbstractMetric):
         return noise + self.weight * transient
 
 
+class TransientAndNoise(AbstractMetric):
+    """The two parts of a [`NoiseAndTransient`][] (without its weight), shape `(2,)`: the
+    transient, the integral of the squared error up to `split` (s), and the noise, the mean
+    square from there on. For a Pareto front."""
+
+    observer: str = eqx.field(static=True)
+    split: Float[Array, ""] = eqx.field(converter=real)
+    interval: Float[Array, ""] = eqx.field(converter=real)
+    scale: Float[Array, "*n"] = eqx.field(converter=real, default=1.0)
+
+    def _weighted(self) -> NoiseAndTransient:
+        return NoiseAndTransient(self.observer, self.split, self.interval, scale=self.scale)
+
+    def init(self, record):
+        return self._weighted().init(record)
+
+    def update(self, state, record):
+        return self._weighted().update(state, record)
+
+    def result(self, state):
+        noise, transient = self._weighted().parts(state)
+        return jnp.stack([transient, noise])
+
+
 class SmoothSettling(AbstractMetric):
     """How long (s) the error of `observer` is outside `tolerance`, in Euclidean norm and
     the units of the estimate: a settling time with a derivative.
@@ -216,7 +241,7 @@ class MonteCarlo(AbstractLoss):
     def __call__(self, tree, key):
         return self.reduce(self.costs(tree, key))
 
-    def costs(self, tree: PyTree, key: random.Key) -> Float[Array, " N"]:
+    def costs(self, tree: PyTree, key: random.Key) -> Float[Array, "N *costs"]:
         """The metric of every sample."""
         keys = jax.vmap(random.fold, (None, 0))(key, jnp.arange(self.samples))
         drawn = jax.vmap(self.draw)(keys)
