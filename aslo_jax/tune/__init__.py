@@ -1,6 +1,12 @@
-"""Tuning by gradients: losses, the descent, design charts."""
+"""Tuning by gradients, and calibration of a machine from a log without ground truth."""
 
 from . import losses as losses
+from .calibration import (
+    Calibration as Calibration,
+    Corrected as Corrected,
+    Undetermined as Undetermined,
+    calibrate as calibrate,
+)
 from .chart import (
     Front as Front,
     Surface as Surface,

@@ -1,0 +1,246 @@
+"""A calibration as a problem of least squares: what is unknown, and where it starts."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...observers import Unwrapped, VelocityObserver
+from ...plants import AbstractMechanicalSystem
+from ...relations import Rate
+from ...replay import replay
+from . import start
+from .parameters import Parameters
+from .predict import (
+    AbstractPrediction,
+    NewtonPrediction,
+    RelationPrediction,
+    open_constant,
+    relations_of,
+    residual,
+)
+from .whiten import Signals
+
+SLOPE = 20  # rows from which the first velocities of a mechanical system are guessed
+
+
+class Form(eqx.Module):
+    """How a model predicts: a mechanical system, or relations with what is known of them.
+
+    - `sizes`, `rates`: as in [`RelationPrediction`][]; `opened`: which constants are free.
+    """
+
+    coordinates: int = eqx.field(static=True, default=0)
+    sizes: tuple[int, ...] = eqx.field(static=True, default=())
+    rates: tuple[bool, ...] = eqx.field(static=True, default=())
+    opened: tuple[bool, ...] = eqx.field(static=True, default=())
+
+    def prediction(self, model: Any, constants: Array) -> AbstractPrediction:
+        """Of the `model`, with the values of its free constants."""
+        if self.coordinates:
+            return NewtonPrediction(model, self.coordinates)
+        relations = relations_of(model)
+        assert relations is not None
+        free = np.flatnonzero(self.opened)
+        every = jnp.zeros(len(relations)).at[free].set(constants)
+        return RelationPrediction(relations, every, self.sizes, self.rates)
+
+
+class Problem(eqx.Module):
+    """The unknowns are the parameters `q`, the first states, and the free constants.
+
+    `unknowns` is where they start, one vector in this order.
+    """
+
+    parameters: Parameters
+    form: Form
+    signals: Signals
+    unknowns: Float[np.ndarray, " v"]
+    states: int = eqx.field(static=True)
+
+    def split(self, v: Array) -> tuple[Any, Array, Array]:
+        """The model, the first states and the constants of a vector of unknowns."""
+        k = len(self.parameters.names)
+        return self.parameters.place(v[:k]), v[k : k + self.states], v[k + self.states :]
+
+    def prediction(self, v: Array) -> tuple[AbstractPrediction, Array]:
+        """What is predicted with the unknowns `v`, and from which states on."""
+        model, x0, constants = self.split(v)
+        return self.form.prediction(model, constants), x0
+
+    def drift(self) -> Float[np.ndarray, "N n"]:
+        """The derivatives of the states at their start (their units per second)."""
+        return np.asarray(_drift(self, self.unknowns))
+
+
+@eqx.filter_jit
+def _drift(problem, v):
+    prediction, x0 = problem.prediction(v)
+    return jax.vmap(lambda u, y: prediction.drift(x0, u, y))(
+        problem.signals.u, problem.signals.y
+    )
+
+
+def problem_of(
+    parameters: Parameters,
+    t: Float[np.ndarray, " N"],
+    u: Float[np.ndarray, "N m"],
+    y: Float[np.ndarray, "N p"],
+    cutoff: float | None,
+    constant: bool | None,
+    scale: Mapping[str, float],
+) -> Problem:
+    """The problem of a log, with a first guess of all that is unknown."""
+    model = parameters.model
+    for name in scale:
+        if name not in parameters.names:
+            raise ValueError(
+                f"Argument `scale` must name parameters among {', '.join(parameters.names)}"
+                f", but got `{name}`."
+            )
+    if isinstance(model, AbstractMechanicalSystem):
+        return _mechanical(parameters, t, u, y, scale)
+    relations = relations_of(model)
+    if relations is None:
+        system = isinstance(model, Unwrapped | VelocityObserver)
+        remedy = (
+            "pass the mechanical system itself, whose parameters its coordinates share"
+            if system
+            else "pass an observer or a plant with a relation, or a mechanical system"
+        )
+        raise ValueError(
+            f"Argument `model` must have a relation, but got {type(model).__name__}; "
+            f"{remedy}."
+        )
+    return _related(parameters, t, u, y, cutoff, constant, scale)
+
+
+def _mechanical(parameters, t, u, y, scale):
+    system = parameters.model
+    if any(system.angles):
+        y = np.where(system.angles, np.unwrap(y, axis=0), y)
+    rows = min(SLOPE, t.size)
+    slope = np.polyfit(t[:rows] - t[0], y[:rows], 1)[0]
+    signals = Signals(np.diff(t), u, y)
+    n = y.shape[1]
+    x = np.concatenate([y, np.gradient(y, t, axis=0)], axis=1)
+    form = Form(coordinates=n)
+    parameters = _scaled(parameters, form, signals, x, np.zeros(0), scale)
+    unknowns = np.concatenate([np.zeros(len(parameters.names)), y[0], slope])
+    return Problem(parameters, form, signals, unknowns, 2 * n)
+
+
+def _related(parameters, t, u, y, cutoff, constant, scale):
+    relations = relations_of(parameters.model)
+    terms = [jax.eval_shape(r, u[0], y[0]) for r in relations]
+    rates = tuple(isinstance(term, Rate) for term in terms)
+    opened = tuple(
+        not rate and (_opened(parameters, j) if constant is None else constant)
+        for j, rate in enumerate(rates)
+    )
+    whole = Signals(np.diff(t), u, y)
+    if cutoff is None:
+        cutoff = start.typical_cutoff(relations, whole)
+
+    def observers(model):
+        return start.algebraic_observers(model, cutoff)
+
+    sizes = tuple(term.z.shape[0] + rate for term, rate in zip(terms, rates, strict=True))
+    form = Form(sizes=sizes, rates=rates, opened=opened)
+    estimates = [replay(o, t, u, y) for o in observers(parameters.model)]
+    x = np.concatenate(
+        [_states(e.value, y, r) for e, r in zip(estimates, rates, strict=True)], axis=1
+    )
+    parameters = _scaled(parameters, form, whole, x, np.zeros(sum(opened)), scale)
+    q = start.first_guess(parameters, observers, t, whole, opened)
+    found = observers(parameters.place(q))
+    estimates = [replay(o, t, u, y) for o in found]
+    weights = [
+        np.asarray(start.trusted(e, jnp.asarray(t), o))
+        for e, o in zip(estimates, found, strict=True)
+    ]
+    certified = np.all([w > 0 for w in weights], axis=0)
+    if certified.sum() < 0.1 * t.size:
+        raise ValueError(
+            "No calibration: the algebraic estimates are certified in "
+            f"{100 * certified.mean():.2g} % of the rows of the log, and a tenth is needed; "
+            "record a run in motion, or choose another `cutoff`."
+        )
+    k = int(np.argmax(certified))
+    signals = Signals(np.diff(t)[k:], u[k:], y[k:])
+    first, constants = [], []
+    for relation, estimate, w, rate, is_open in zip(
+        [o.relation for o in found], estimates, weights, rates, opened, strict=True
+    ):
+        first.append(np.asarray(estimate.value)[k])
+        if rate:
+            first.append(np.asarray(relation(u[k], y[k]).s)[None])
+        if is_open:
+            gap = jax.vmap(lambda x, u, y, r=relation: residual(r(u, y), x)[0])
+            gaps = np.asarray(gap(estimate.value, u, y))
+            constants.append([np.sum(w * gaps) / np.sum(w)])
+    unknowns = np.concatenate([q, *first, *constants])
+    return Problem(parameters, form, signals, unknowns, sum(sizes))
+
+
+def _states(value, y, rate):
+    return np.concatenate([value, y[:, :1]], 1) if rate else np.asarray(value)
+
+
+def _opened(parameters: Parameters, j: int) -> bool:
+    """Whether the constant of relation `j` is unknown and no parameter stands for it."""
+
+    def constant(q):
+        relations = relations_of(parameters.place(q))
+        assert relations is not None
+        return open_constant(relations[j])
+
+    zero = jnp.zeros(len(parameters.names))
+    if constant(zero) is None:
+        return False
+    return not np.any(np.asarray(jax.jacfwd(constant)(zero)))
+
+
+def _scaled(
+    parameters: Parameters,
+    form: Form,
+    signals: Signals,
+    x: Float[np.ndarray, "N n"],
+    constants: Float[np.ndarray, " c"],
+    scale: Mapping[str, float],
+) -> Parameters:
+    """Sizes for parameters that start at zero: those that are given, the rms of the output
+    for its offset, or else what makes the derivatives of the states as large again."""
+    size = parameters.scale.copy()
+    unit = Parameters(
+        parameters.model,
+        parameters.value,
+        np.ones_like(size),
+        parameters.leaves,
+        parameters.names,
+    )
+    if (size == 0).any():
+
+        def drift(q, x, u, y):
+            return form.prediction(unit.place(q), constants).drift(x, u, y)
+
+        zero = jnp.zeros(size.size)
+        each = jax.vmap(drift, (None, 0, 0, 0))(zero, x, signals.u, signals.y)
+        slopes = jax.vmap(jax.jacfwd(drift), (None, 0, 0, 0))(zero, x, signals.u, signals.y)
+        each, slopes = np.asarray(each), np.asarray(slopes)
+        for j in np.flatnonzero(size == 0):
+            if parameters.names[j].startswith("output_offset"):
+                size[j] = np.sqrt(np.mean(signals.y**2))
+                continue
+            entries = np.any(slopes[:, :, j] != 0, axis=0)
+            moved = np.sqrt(np.mean(slopes[:, entries, j] ** 2)) if entries.any() else 0.0
+            size[j] = np.sqrt(np.mean(each[:, entries] ** 2)) / moved if moved else 1.0
+    for name, value in scale.items():
+        size[parameters.names.index(name)] = value
+    return Parameters(
+        parameters.model, parameters.value, size, parameters.leaves, parameters.names
+    )

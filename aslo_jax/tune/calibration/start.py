@@ -1,0 +1,121 @@
+"""Where the search starts: parameters with which the algebraic estimate satisfies the
+relation best, and the states and constants that go with them."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.optimize
+from jaxtyping import Array, Float
+
+from ...filters import LowPass
+from ...guard import Guard
+from ...observers import AlgebraicObserver
+from ...relations import Quadratic, Rate
+from ...replay import replay
+from .parameters import Parameters
+from .predict import Relation, observers_of, relations_of, residual
+from .whiten import Signals
+
+# Of the relative residual of an algebraic estimate over one time constant of its filter,
+# and of the parameters' starting values: an estimate of noise and transients, and a guess.
+# They matter where the record determines little, and there they keep the search at home.
+RESIDUAL, PRIOR = 0.01, 0.3
+TIME_CONSTANTS = 2.0  # of the filter, after which an estimate is used
+
+
+def algebraic_observers(
+    model: Any, cutoff: Float[Array, ""] | float | None
+) -> tuple[AlgebraicObserver, ...]:
+    """Those of an observer, or of a plant's relations with `cutoff` (rad/s)."""
+    found = observers_of(model)
+    if found is None:
+        relations = relations_of(model) or ()
+        assert cutoff is not None
+        found = tuple(
+            AlgebraicObserver(r, LowPass(cutoff), guard=Guard(1e-3)) for r in relations
+        )
+    return found
+
+
+def typical_cutoff(relations: tuple[Relation, ...], signals: Signals) -> float:
+    """A cutoff (rad/s) for plants whose observer is not given: the frequency at which the
+    derivatives of the states turn in the log, over sqrt(3), and at least 5.
+
+    It is the ratio of the rms of the derivative to that of its integral, about steady
+    motion, which noise hardly moves."""
+    h, u, y = signals
+    t = np.concatenate([[0.0], np.cumsum(h)])
+    rates = []
+    for relation in relations:
+        z = np.asarray(jax.vmap(lambda u, y, r=relation: r(u, y).z)(u, y))
+        x = np.concatenate(
+            [np.zeros((1, z.shape[1])), np.cumsum(0.5 * h[:, None] * (z[1:] + z[:-1]), 0)]
+        )
+        trend = np.stack([np.ones_like(t), t, t**2], axis=1)
+        x = x - trend @ np.linalg.lstsq(trend, x, rcond=None)[0]
+        rates.append(np.sqrt(np.mean(z**2) / max(np.mean(x**2), 1e-300)))
+    return max(float(max(rates)) / np.sqrt(3.0), 5.0)
+
+
+def trusted(estimate: Any, t: Float[Array, " N"], observer: AlgebraicObserver) -> Array:
+    """The weight of every row of an estimate, of sum one."""
+    weight = jnp.where(estimate.coasting, 0.0, estimate.certificate)
+    return weight * (t > t[0] + settling(observer))
+
+
+def settling(observer: AlgebraicObserver) -> Array:
+    """The time (s) after which an estimate is used."""
+    filter = observer.filter
+    return TIME_CONSTANTS / filter.rate if isinstance(filter, LowPass) else jnp.zeros(())
+
+
+def first_guess(
+    parameters: Parameters,
+    observers: Callable[[Any], tuple[AlgebraicObserver, ...]],
+    t: Float[np.ndarray, " N"],
+    signals: Signals,
+    open_constants: tuple[bool, ...],
+) -> Float[np.ndarray, " k"]:
+    """The parameters for which the relations of the algebraic estimates hold best: of a
+    motor, for which the weighted relative variance of `|flux - L i|^2` is least.
+
+    Rate relations of one unknown hold by construction: they start where they are."""
+    _, u, y = signals
+
+    @jax.jit
+    def rows(q):
+        found = [(q - 0.0) / PRIOR]
+        for observer, is_open in zip(
+            observers(parameters.place(q)), open_constants, strict=True
+        ):
+            estimate = replay(observer, t, u, y)
+            terms = jax.eval_shape(observer.relation, u[0], y[0])
+            if isinstance(terms, Rate):
+                continue
+            gap, slope = jax.vmap(
+                lambda x, u, y, o=observer: residual(o.relation(u, y), x)
+            )(estimate.value, u, y)
+            w = jax.lax.stop_gradient(trusted(estimate, jnp.asarray(t), observer))
+            w = w / jnp.maximum(jnp.sum(w), 1e-300)
+            # Relative, so that nothing is gained by a state that shrinks.
+            size = jnp.sum(w * jnp.sum(slope**2, axis=1))
+            if isinstance(terms, Quadratic):
+                Q = observer.relation(u[0], y[0]).Q
+                size = size / jnp.sqrt(jnp.sum(Q**2) / Q.shape[0])
+            relative = (gap - is_open * jnp.sum(w * gap)) / size
+            windows = (t[-1] - t[0]) / jnp.maximum(settling(observer), t[1] - t[0])
+            found.append(jnp.sqrt(w * windows) * relative / RESIDUAL)
+        return jnp.concatenate(found)
+
+    slope = jax.jit(jax.jacfwd(rows))
+    solution = scipy.optimize.least_squares(
+        lambda q: np.asarray(rows(q)),
+        np.zeros(parameters.value.size),
+        jac=lambda q: np.asarray(slope(q)),  # pyright: ignore[reportArgumentType]
+        method="lm",
+        max_nfev=30,
+    )
+    return solution.x
