@@ -26,7 +26,7 @@ from .motor_loop import (
 
 SOURCE = Path(__file__).with_name("pmsm.c")
 FLAGS = ["-O3", "-march=native", "-fno-math-errno", "-fopenmp", "-shared", "-fPIC"]
-WIDEST = 4  # vectors of 8 lanes that are interleaved: 1, 2 or 4, the fastest counts
+WIDEST = 4  # vectors that are interleaved: 1, 2 or 4, the fastest counts
 
 
 def settings() -> dict[str, float]:
@@ -121,20 +121,15 @@ class ByHand:
 
 
 def count_operations(assembly: str) -> int:
-    """Vector operations of x86 assembly, weighted with their lanes over 8; 0 elsewhere."""
-    total = 0.0
+    """Vector operations of x86 assembly of one block, each of all its lanes, whether words
+    or doubles; 0 elsewhere."""
+    total = 0
     for line in assembly.splitlines():
-        match = re.match(r"\s+v(\w+)\s+(.*)", line)
-        if match is None or not re.search(_COUNTED, match[1]):
+        match = re.match(r"\s+v(\w+)\s", line)
+        if match is None or not re.search(_COUNTED, match[1]) or match[1].endswith("sd"):
             continue
-        wide = 1.0 if "%zmm" in match[2] else 0.5
-        # Words of 32 bits: eight lanes are half a vector.
-        if re.match(r"p\w+d$", match[1]) and "%zmm" not in match[2]:
-            wide = 1.0
-        if match[1].endswith("sd"):
-            continue
-        total += wide * (2.0 if re.match(r"fn?m(add|sub)", match[1]) else 1.0)
-    return round(total)
+        total += 2 if re.match(r"fn?m(add|sub)", match[1]) else 1
+    return total
 
 
 _COUNTED = (
