@@ -1,21 +1,25 @@
-"""Every benchmark, or those named on the command line; `--quick` for a shorter `pmsm`."""
+"""Every benchmark, or those named on the command line. `--quick`: a shorter `pmsm`;
+`--install`: environments for the `peers` that need their own."""
 
 import functools
 import sys
 
-from . import import_time, pmsm, replay, reversal, tuning
+from . import import_time, peers, pmsm, replay, reversal, systems, tuning
 
+FLAGS = {"--quick", "--install"}
 quick = "--quick" in sys.argv
 BENCHMARKS = {
     "import_time": import_time.main,
     "replay": replay.main,
     "reversal": reversal.main,
+    "systems": systems.main,
+    "peers": functools.partial(peers.main, "--install" in sys.argv),
     "pmsm": functools.partial(pmsm.main, quick),
     "tuning": functools.partial(tuning.main, quick),
 }
 
 if __name__ == "__main__":
-    names = [name for name in sys.argv[1:] if name != "--quick"] or list(BENCHMARKS)
+    names = [name for name in sys.argv[1:] if name not in FLAGS] or list(BENCHMARKS)
     if unknown := set(names) - set(BENCHMARKS):
         sys.exit(f"No benchmark {sorted(unknown)}; there are {sorted(BENCHMARKS)}.")
     failures = [failure for name in names for failure in BENCHMARKS[name]()]

@@ -8,20 +8,22 @@ from typing import Any
 
 RUNS = 7
 LANES, STEPS = 1024, 1000
-SIZES = {"fused": 10**6, "C": 10**6, "scan": 10**4, "diffrax": 10**3}  # the largest ones
+SIZES = {"fused": 10**6, "C": 10**6, "Numba": 10**4, "scan": 10**4, "diffrax": 10**3}
+SIZE_STEPS = 500  # over which the size of the batch is varied, up to the above
 SAMPLES = 1_000_000  # of the replay
 
 # The bounds.
-THREADS, TEN_OBSERVERS, GRADIENT, REPLAY = 1.8, 0.35, 2.6, 1.0
+THREADS, TEN_OBSERVERS, GRADIENT, REPLAY, FLAT = 1.8, 0.35, 2.6, 1.0, 1.2
+AGREEMENT = 1e-10  # of the largest flux after 1 s, between fused and scan
 COMPILE, COMPILE_TEN = 2.0, 5.0  # s
 
 
 def scaling(quick: bool) -> dict[str, Any]:
     """All figures; if `quick`, those that take seconds."""
-    found = {"threads": threads(), "observers": observers(), "gradient": gradient()}
+    found: dict[str, Any] = {"threads": threads(), "observers": observers()}
     if not quick:
-        found |= {"horizon": horizon(), "paper": paper(), "replay": replay()}
-        found |= {"sizes": sizes()}
+        found |= {"gradient": gradient(), "agreement": agreement(), "paper": paper()}
+        found |= {"horizon": horizon(), "replay": replay(), "sizes": sizes()}
     return found
 
 
@@ -36,26 +38,28 @@ def _batch(count: int):
 
 def threads() -> dict[str, float]:
     """Million steps of a trajectory per second with one thread and with two."""
-    from . import motor_loop as work, timing
+    from . import loops, motor_loop as work, timing
 
     batch = _batch(LANES)
-    run = {str(n): work.sampled("fused", batch, STEPS, threads=n) for n in (1, 2)}
+    run = {
+        str(n): loops.sampled(work.LOOP, "fused", batch, STEPS, threads=n) for n in (1, 2)
+    }
     seconds, _ = timing.interleaved(run, RUNS)
     return {n: LANES * STEPS / s / 1e6 for n, s in seconds.items()}
 
 
 def observers() -> list[dict[str, float]]:
     """1, 5 and 10 ASLO with other filters beside each other: steps and operations."""
-    from . import motor_loop as work, timing
+    from . import loops, motor_loop as work, timing
 
     batch = _batch(LANES)
     counts = 1, 5, 10
-    run = {n: work.sampled("fused", batch, STEPS // 4, count=n) for n in counts}
+    run = {n: loops.sampled(work.LOOP, "fused", batch, STEPS // 4, count=n) for n in counts}
     seconds, _ = timing.interleaved({str(n): r for n, r in run.items()}, RUNS)
     rows = []
     for n in counts:
         speed = LANES * (STEPS // 4) / seconds[str(n)] / 1e6
-        operations = work.operations(count=n)
+        operations = loops.operations(work.LOOP, count=n)
         rows.append({"observers": n, "speed": speed, "operations": operations})
     return rows
 
@@ -93,13 +97,25 @@ def gradient() -> dict[str, float]:
     return seconds
 
 
+def agreement() -> float:
+    """The largest difference of fused and scan after 1 s, over the largest flux."""
+    import numpy as np
+
+    from . import loops, motor_loop as work
+
+    batch, steps = _batch(32), round(1.0 / work.INTERVAL)
+    both = [loops.sampled(work.LOOP, e, batch, steps)() for e in ("fused", "scan")]
+    a, b = map(np.asarray, both)
+    return float(np.abs(a - b).max() / np.abs(b).max())
+
+
 def horizon() -> list[dict[str, float]]:
     """Seconds of one batch over 100 to 100,000 steps."""
-    from . import motor_loop as work, timing
+    from . import loops, motor_loop as work, timing
 
     batch = _batch(LANES)
     steps = 100, 1000, 10_000, 100_000
-    run = {str(n): work.sampled("fused", batch, n) for n in steps}
+    run = {str(n): loops.sampled(work.LOOP, "fused", batch, n) for n in steps}
     seconds, _ = timing.interleaved(run, 3)
     return [
         {"steps": n, "seconds": seconds[str(n)], "speed": LANES * n / seconds[str(n)] / 1e6}
@@ -109,10 +125,12 @@ def horizon() -> list[dict[str, float]]:
 
 def paper() -> dict[str, float]:
     """Million steps per second of the observers as printed: paper's start, Repeat."""
-    from . import motor_loop as work, timing
+    from . import loops, motor_loop as work, timing
 
     batch = _batch(LANES)
-    run = {e: work.sampled(e, batch, STEPS, paper=True) for e in ("fused", "scan")}
+    run = {
+        e: loops.sampled(work.LOOP, e, batch, STEPS, paper=True) for e in ("fused", "scan")
+    }
     seconds, _ = timing.interleaved(run, 3)
     return {e: LANES * STEPS / s / 1e6 for e, s in seconds.items()}
 
@@ -124,6 +142,7 @@ def replay() -> dict[str, float]:
     import aslo_jax as aslo
 
     from . import replay as recorded, timing
+    from .by_hand import ByHand
 
     t, u, y, _ = recorded.log(SAMPLES)
     relation = aslo.plants.FluxRelation(recorded.RESISTANCE, recorded.INDUCTANCE)
@@ -133,34 +152,40 @@ def replay() -> dict[str, float]:
         for e in ("fused", "scan")
     }
     run["lfilter"] = recorded.cascade(t, u, y)
+    if ByHand.available():
+        run["C"] = recorded.by_hand(t, u, y)
     return timing.interleaved(run, 5)[0]
 
 
 def sizes() -> dict[str, list[dict[str, float]]]:
-    """Million steps per second for batches of 1 to a million trajectories, over 1,000
-    steps and fewer where that would take long."""
+    """Million steps per second for batches of 1 to a million trajectories, in turn."""
     import tempfile
 
-    from . import motor_loop as work, timing
+    from . import loops, motor_loop as work, numba_loop, timing
     from .by_hand import ByHand
 
-    found: dict[str, list[dict[str, float]]] = {name: [] for name in SIZES}
+    run: dict[Any, Callable[[], Any]] = {}
     with tempfile.TemporaryDirectory() as folder:
         hand = ByHand(folder) if ByHand.available() else None
         for count in (10**k for k in range(7)):
-            batch = _batch(count)
-            steps = min(STEPS, 10**8 // count)
-            run = {"fused": work.sampled("fused", batch, steps)}
+            batch, threads = _batch(count), timing.processors()
+            each = {
+                "fused": lambda b=batch: loops.sampled(work.LOOP, "fused", b, SIZE_STEPS),
+                "scan": lambda b=batch: loops.sampled(work.LOOP, "scan", b, SIZE_STEPS),
+                "diffrax": lambda b=batch: loops.continuous(work.LOOP, b, SIZE_STEPS),
+            }
             if hand:
-                run["C"] = hand.sampled(2, batch, steps, timing.processors())
-            if count <= SIZES["scan"]:
-                run["scan"] = work.sampled("scan", batch, steps)
-            if count <= SIZES["diffrax"]:
-                run["diffrax"] = work.continuous(batch, steps, tolerance=1e-6)
-            seconds, _ = timing.interleaved(run, 3)
-            for name, second in seconds.items():
-                speed = count * steps / second / 1e6
-                found[name].append({"lanes": count, "steps": steps, "speed": speed})
+                of_c = lambda b=batch, n=threads: hand.sampled(2, b, SIZE_STEPS, n)
+                each["C"] = of_c
+            if numba_loop.available():
+                of_numba = lambda b=batch, n=threads: numba_loop.sampled(b, SIZE_STEPS, n)
+                each["Numba"] = of_numba
+            run |= {(k, count): f() for k, f in each.items() if count <= SIZES[k]}
+        seconds, _ = timing.interleaved(run, 3)
+    found: dict[str, list[dict[str, float]]] = {}
+    for (name, count), second in seconds.items():
+        speed = count * SIZE_STEPS / second / 1e6
+        found.setdefault(name, []).append({"lanes": count, "speed": speed})
     return found
 
 
@@ -196,13 +221,12 @@ def report(figures: dict[str, Any]) -> list[str]:
         )
     share = last["speed"] * last["operations"] / (first["speed"] * first["operations"])
     check(share, TEN_OBSERVERS, "rate of operations, ten ASLO over one")
-    seconds = scale["gradient"]
-    check(
-        seconds["gradient"] / seconds["primal"],
-        GRADIENT,
-        "gradient in two gains over the values",
-        most=True,
-    )
+    if "gradient" in scale:
+        seconds = scale["gradient"]
+        ratio = seconds["gradient"] / seconds["primal"]
+        check(ratio, GRADIENT, "gradient in two gains over the values", most=True)
+        what = "fused less scan after 1 s, over the flux"
+        check(scale["agreement"], AGREEMENT, what, most=True)
     for name, second in figures["compile"].items():
         bound = COMPILE_TEN if name.startswith("ten") else COMPILE
         check(second, bound, f"seconds to trace and compile, {name}", most=True)
@@ -225,7 +249,21 @@ def report(figures: dict[str, Any]) -> list[str]:
         for name, rows in scale["sizes"].items():
             speeds = "".join(f"{r['speed']:>10.3g}" for r in rows)
             print(f"  {name:<10}{speeds}")
+        cost = {
+            n: _slope(rows) for n, rows in scale["sizes"].items() if n in ("fused", "C")
+        }
+        check(
+            cost["fused"], FLAT, "cost of a trajectory, 1e3 to 1e6, most/least", most=True
+        )
+        if "C" in cost:
+            print(f"  {'the same of C':<44}{cost['C']:>9.3g}")
     return failures
+
+
+def _slope(rows: list[dict[str, float]]) -> float:
+    """The largest cost of a trajectory over the smallest, from a thousand on."""
+    speeds = [r["speed"] for r in rows if r["lanes"] >= 1000]
+    return max(speeds) / min(speeds)
 
 
 def listed(values: dict[str, float], unit: str) -> str:
@@ -245,7 +283,8 @@ def plot(figures: dict[str, Any], path: str) -> None:
         x, y = [r["lanes"] for r in rows], [1e6 * r["speed"] for r in rows]
         axes.loglog(x, y, "o-", label=name)
     for r in figures["rows"]:
-        if r["engine"] not in sizes and not r["noisy"]:
+        known = any(r["engine"].startswith(name) for name in sizes)
+        if not known and not r["noisy"] and r["threads"] == figures["threads"]:
             axes.loglog(r["lanes"], 1e6 * r["speed"], "s", label=r["engine"])
     axes.set(xlabel="trajectories", ylabel="steps of a trajectory per second")
     axes.set_title(f"PMSM, ASLO and A-ASLO, {figures['threads']} threads")

@@ -4,7 +4,6 @@ another in each trajectory. The same modules for every engine of the library."""
 
 from typing import Any
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,6 +12,8 @@ import numpy as np
 import aslo_jax as aslo
 from aslo_jax.control import FieldOriented, MotorFeedback
 from aslo_jax.disturbances import SampledNoise
+
+from .loops import Work
 
 INTERVAL = 1e-4  # s
 RATE, GAIN, THRESHOLD = 30.0, 20.0, 1e-4  # rad/s of F, rad/s of the A-ASLO, the guard's
@@ -92,106 +93,4 @@ def samples(count: int):
     return resistance, 0.2086 * rng.uniform(0.95, 1.05, count), keys
 
 
-def sampled(engine: str, batch, steps: int, threads=None, **choice: Any):
-    """A function without arguments that runs the batch, compiled already but for the first
-    call: what is kept of the last sample, shape `(N, 3, 2)`."""
-
-    @jax.jit
-    def run(batch):
-        return aslo_run(engine, batch, steps, threads, **choice)
-
-    return lambda: jax.block_until_ready(run(batch))
-
-
-def aslo_run(engine: str, batch, steps: int, threads=None, **choice: Any):
-    from aslo_jax.engines import run_batch
-
-    one = lambda sample: make(sample, **choice)
-    out = run_batch(
-        one, batch, steps, record=keep, every=steps, engine=engine, threads=threads
-    )
-    return out.record[:, -1]
-
-
-def exact(batch, steps: int, noisy: bool = False):
-    """The end of the sampled loop, as a plain loop around an accurate plant: diffrax's
-    Dopri8 at 1e-12 over every interval, with the voltage held."""
-    precise = diffrax.PIDController(rtol=1e-12, atol=1e-14)
-
-    def one(sample):
-        loop = make(sample, noisy)
-        plant, control = loop.plant, loop.controller
-        field = diffrax.ODETerm(lambda t, x, u: plant.vector_field(jnp.asarray(t), x, u))
-
-        def step(state, k):
-            x, u, inner, observers = state
-            solution = diffrax.diffeqsolve(
-                field,
-                diffrax.Dopri8(),
-                0.0,
-                INTERVAL,
-                INTERVAL,
-                x,
-                args=u,
-                stepsize_controller=precise,
-                adjoint=diffrax.ForwardMode(),
-            )
-            x = jax.tree.map(lambda x: x[-1], solution.ys)
-            t = (k + 1) * loop.interval
-            y = plant.output(x)
-            y = y if loop.sensor is None else loop.sensor(t, None, y)
-            pairs = {
-                n: o.step(observers[n], u, y, INTERVAL) for n, o in loop.observers.items()
-            }
-            observers = {n: p[0] for n, p in pairs.items()}
-            fed = measured(y, x, None)
-            u, rate = control(t, inner, fed), control.vector_field(t, inner, fed)
-            inner = jax.tree.map(lambda s, r: s + INTERVAL * r, inner, rate)
-            values = [pairs[n][1].value for n in ("ASLO", "A-ASLO")]
-            return (x, u, inner, observers), jnp.stack([x.flux, *values])
-
-        begun, _ = loop.init()
-        state = begun.x, begun.command, begun.controller, begun.observers
-        return jax.lax.scan(step, state, jnp.arange(steps))[1][-1]
-
-    return jax.jit(jax.vmap(one))(batch)
-
-
-def continuous(batch, steps: int, solver=None, tolerance: float | None = None):
-    """The same for the loop in continuous time, by diffrax: with fixed steps of the
-    interval, or with adaptive ones of a relative `tolerance`."""
-    end = steps * INTERVAL
-    if tolerance is None:
-        control, dt0 = diffrax.ConstantStepSize(), INTERVAL
-    else:
-        control, dt0 = diffrax.PIDController(tolerance, 1e-3 * tolerance), None
-
-    @jax.jit
-    @jax.vmap
-    def run(sample):
-        out = aslo.simulate(
-            motor(sample),
-            controller(),
-            observers(),
-            t1=end,
-            ts=jnp.array([end]),
-            feedback=measured,
-            solver=diffrax.Tsit5() if solver is None else solver,
-            stepsize_controller=control,
-            dt0=dt0,
-        )
-        return keep(jax.tree.map(lambda x: x[0], out))
-
-    return lambda: jax.block_until_ready(run(batch))
-
-
-def operations(**choice: Any) -> int:
-    """Of one step of one trajectory in the graph of the fused engine, what all
-    lanes share not counted, a product with a sum counted as two."""
-    from aslo_jax.engines.fused import Fused
-    from aslo_jax.engines.plan import Plan
-
-    batch = jax.tree.map(jnp.asarray, samples(1))
-    plan = Plan(lambda sample: make(sample, **choice), {}, keep)
-    like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), batch)
-    return Fused(plan, like, 1, 1, 1).program.operations
+LOOP = Work(make, samples, keep, INTERVAL)

@@ -1,7 +1,8 @@
 """The engines side by side, on one closed loop: fused, scan, diffrax, SciPy, and C by hand.
 
 `python -m benchmarks pmsm --quick` is the headline; without `--quick` it also measures how
-the engines scale (`benchmarks/engines.py`). `pmsm.json` and `pmsm.png` keep the figures.
+the engines scale (`benchmarks/engines.py`). `pmsm.json` and `pmsm.png`
+in the folder of the results keep the figures.
 """
 
 import json
@@ -17,6 +18,7 @@ LANES, STEPS = 1024, 1000
 RUNS = 7
 SLOW_RUNS = 3  # of what takes seconds
 FEW = 4  # trajectories of the reference and of SciPy
+FIXED, ADAPTIVE = "diffrax Tsit5", "diffrax, adaptive"
 TOLERANCE = 1e-6  # of the adaptive peers: their flux is then about as accurate as RK4's
 
 # The bounds.
@@ -30,7 +32,10 @@ def contend(path: str, quick: str) -> None:
 
     jax.config.update("jax_enable_x64", True)
     with tempfile.TemporaryDirectory() as folder:
-        figures: dict[str, Any] = {"compile": compile_times(), **headline(folder)}
+        figures: dict[str, Any] = {
+            "compile": compile_times(),
+            **headline(folder, quick == "quick"),
+        }
         from . import engines, timing
 
         figures["scaling"] = engines.scaling(quick == "quick")
@@ -42,11 +47,11 @@ def compile_times() -> dict[str, float]:
     """Seconds from modules to the results of one step: trace, graph, LLVM, callback."""
     import jax
 
-    from . import motor_loop as work
+    from . import loops, motor_loop as work
 
     tiny = work.samples(32)
     # The tracer, the evaluator and LLVM itself are warm for whatever is measured.
-    work.aslo_run("fused", tiny, 1, count=1)
+    loops.run(work.LOOP, "fused", tiny, 1, count=1)
     found = {}
     for name, choice in {
         "ASLO and A-ASLO": {},
@@ -54,30 +59,34 @@ def compile_times() -> dict[str, float]:
         "ten ASLO": {"count": 10},
     }.items():
         start = time.perf_counter()
-        jax.block_until_ready(work.aslo_run("fused", tiny, 1, **choice))
+        jax.block_until_ready(loops.run(work.LOOP, "fused", tiny, 1, **choice))
         found[name] = time.perf_counter() - start
     return found
 
 
-def headline(folder: str) -> dict[str, Any]:
+def headline(folder: str, quick: bool) -> dict[str, Any]:
     import diffrax
     import jax
     import numpy as np
 
-    from . import motor_loop as work, timing
+    import aslo_jax as aslo
+
+    from . import loops, motor_loop as work, numba_loop, timing
     from .by_hand import ByHand, solve_ivp
 
     batch = jax.tree.map(np.asarray, work.samples(LANES))
     few = jax.tree.map(lambda x: x[:FEW], batch)
-    threads = timing.processors()
+    threads, runs = timing.processors(), 1 if quick else SLOW_RUNS
     hand = ByHand(folder) if ByHand.available() else None
 
     rows: list[dict[str, Any]] = []
     for noisy in (False, True):
-        exact = work.exact(few, STEPS, noisy)
+        exact = loops.exact(work.LOOP, few, STEPS, noisy=noisy)
         fast = {}
         for n in sorted({threads, 1}, reverse=True):
-            fast["fused", n, 0] = work.sampled("fused", batch, STEPS, n, noisy=noisy)
+            fast["fused", n, 0] = loops.sampled(
+                work.LOOP, "fused", batch, STEPS, n, noisy=noisy
+            )
             if hand is not None:
                 for blocks in hand.blocks:
                     fast["C", n, blocks] = hand.sampled(blocks, batch, STEPS, n, noisy)
@@ -92,26 +101,34 @@ def headline(folder: str) -> dict[str, Any]:
                 difference = np.abs(values[key] - values["fused", n, 0])
                 found["agreement"] = float(difference.max())
             else:
-                found["operations"] = work.operations(noisy=noisy)
+                found["operations"] = loops.operations(work.LOOP, noisy=noisy)
             rows.append(found)
-        slow = {"scan": work.sampled("scan", batch, STEPS, noisy=noisy)}
-        seconds, values = timing.interleaved(slow, SLOW_RUNS)
-        rows.append(
-            row("scan", noisy, seconds["scan"], LANES, values["scan"], exact, threads)
-        )
+        slow = {"scan": loops.sampled(work.LOOP, "scan", batch, STEPS, noisy=noisy)}
+        if numba_loop.available() and not quick:
+            slow["Numba"] = numba_loop.sampled(batch, STEPS, threads, noisy)
+        seconds, values = timing.interleaved(slow, runs)
+        for name, second in seconds.items():
+            rows.append(row(name, noisy, second, LANES, values[name], exact, threads))
 
-    exact = work.continuous(few, STEPS, diffrax.Dopri8(), 1e-12)()
-    fixed = f"diffrax, {1e3 * work.INTERVAL:g} ms"
+    exact = loops.continuous(work.LOOP, few, STEPS, diffrax.Dopri8(), 1e-12)()
     peers = {
-        fixed: (work.continuous(batch, STEPS), LANES),
-        "diffrax": (work.continuous(batch, STEPS, tolerance=TOLERANCE), LANES),
+        FIXED: (loops.continuous(work.LOOP, batch, STEPS), LANES),
+        ADAPTIVE: (loops.continuous(work.LOOP, batch, STEPS, tolerance=TOLERANCE), LANES),
         "SciPy RK45": (solve_ivp(few, STEPS, FEW, "RK45", TOLERANCE), FEW),
         "SciPy DOP853": (solve_ivp(few, STEPS, FEW, "DOP853", TOLERANCE), FEW),
     }
-    seconds, values = timing.interleaved({n: p[0] for n, p in peers.items()}, SLOW_RUNS)
+    if not quick:
+        ours = loops.continuous(work.LOOP, batch, STEPS, aslo.RungeKutta4())
+        peers["diffrax RungeKutta4"] = ours, LANES
+    seconds, values = timing.interleaved({n: p[0] for n, p in peers.items()}, runs)
     for name, (_, lanes) in peers.items():
         rows.append(row(name, False, seconds[name], lanes, values[name], exact, threads))
-    return {"rows": rows, "threads": threads, "load before scaling": timing.load()}
+    return {
+        "rows": rows,
+        "threads": threads,
+        "slow runs": runs,
+        "load before scaling": timing.load(),
+    }
 
 
 def row(engine, noisy, seconds, lanes, value, exact, threads) -> dict[str, Any]:
@@ -152,11 +169,11 @@ def report(figures: dict[str, Any]) -> list[str]:
     print(
         f"PMSM, field-oriented control, ASLO and A-ASLO: {LANES:,} trajectories of "
         f"{STEPS:,} steps of 0.1 ms, float64\n(SciPy: one process, {FEW} trajectories, "
-        f"extrapolated); medians of {RUNS} rounds in turn, {SLOW_RUNS} of the slow ones; "
-        f"{figures['load before scaling']}"
+        f"extrapolated); medians of {RUNS} rounds in turn, {figures['slow runs']} of the "
+        f"slow ones; {figures['load before scaling']}"
     )
     print(
-        f"  {'':<16}{'noise':>6}{'threads':>9}{'M steps/s':>11}{'fused /':>9}{'ops':>6}"
+        f"  {'':<20}{'noise':>6}{'threads':>9}{'M steps/s':>11}{'fused /':>9}{'ops':>6}"
         f"{'G ops/s/core':>14}   errors: {'flux':>8}{'ASLO':>9}{'A-ASLO':>9}"
     )
     for r in figures["rows"]:
@@ -166,16 +183,17 @@ def report(figures: dict[str, Any]) -> list[str]:
         rate = f"{operations * r['speed'] / 1e3 / n:.1f}" if operations else ""
         errors = "".join(f"{e:9.1e}" for e in r["errors"])
         print(
-            f"  {r['engine']:<16}{'yes' if r['noisy'] else 'no':>6}{n:>9}"
+            f"  {r['engine']:<20}{'yes' if r['noisy'] else 'no':>6}{n:>9}"
             f"{r['speed']:>11.3f}{ratio:>9.4g}{operations or '':>6}{rate:>14}"
             f"{'':>10}{errors}"
         )
     print(
-        f"  Errors (Wb) at the end, largest of {FEW} trajectories, against Dopri8 "
-        "at 1e-12: of the sampled loops\n  (fused, scan, C) over every interval, the "
-        "voltage held; of the others over the loop in continuous time,\n  with "
-        f"adaptive steps at {TOLERANCE:g} but for the row with an interval. Operations: "
-        "of fused, those of its graph; of C,\n  the vector instructions of its loop. A "
+        f"  Errors (Wb) at the end, largest of {FEW} trajectories, against Dopri8 at "
+        "1e-12: of the sampled loops\n  (fused, scan, C, Numba) over every interval, the "
+        "voltage held; of the others over the loop in continuous\n  time. diffrax Tsit5 "
+        "and RungeKutta4 (the library's) take steps of 0.1 ms, as many as the sampled\n  "
+        f"loops; diffrax, adaptive is Tsit5 at {TOLERANCE:g}, as is SciPy. Operations: of "
+        "fused, those of its graph;\n  of C, the vector instructions of its loop. A "
         "product with a sum counts as two."
     )
     failures = []
@@ -190,7 +208,8 @@ def report(figures: dict[str, Any]) -> list[str]:
         if one == one:
             print(f"    with one thread each  {one:>9.4g}")
     fused = speed(figures, "fused")
-    check(failures, fused / speed(figures, "diffrax"), OVER_DIFFRAX, "fused / diffrax")
+    check(failures, fused / speed(figures, FIXED), OVER_DIFFRAX, "fused / diffrax")
+    print(f"    with adaptive steps   {fused / speed(figures, ADAPTIVE):>9.4g}")
     check(failures, fused / speed(figures, "SciPy"), OVER_SCIPY, "fused / SciPy")
     for r in figures["rows"]:
         if r.get("agreement", 0.0) > AGREEMENT:
@@ -209,7 +228,7 @@ def check(failures: list[str], value: float, bound: float, what: str) -> None:
 
 
 def main(quick: bool = False) -> list[str]:
-    """Print the tables, write `pmsm.json` and `pmsm.png`; return what does not hold."""
+    """Print the tables, save the figures and the plot; return what does not hold."""
     root = Path(__file__).parents[1]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "figures.json"
@@ -219,19 +238,22 @@ def main(quick: bool = False) -> list[str]:
         command.append("quick" if quick else "full")
         subprocess.run(command, check=True, cwd=root, env=environment)
         figures = json.loads(path.read_text())
-    from . import engines
+    from . import engines, peers, results
 
     failures = report(figures) + engines.report(figures)
-    Path("pmsm.json").write_text(json.dumps(figures, indent=2) + "\n")
-    engines.plot(figures, "pmsm.png")
     fused = speed(figures, "fused")
+    if not quick:
+        figures["peers"] = peers.measure_all()
+        peers.report(figures["peers"], fused)
+    results.save("pmsm", figures)
+    engines.plot(figures, str(results.FOLDER / "pmsm.png"))
     over = {n: fused / speed(figures, s) for n, s in PEERS.items()}
     written = {n: f"{r:.0f}" if r >= 100.0 else f"{r:.3g}" for n, r in over.items()}
     print("  ".join(f"fused/{name} {ratio}" for name, ratio in written.items()))
     return failures
 
 
-PEERS = {"C": "C", "diffrax": "diffrax", "scipy": "SciPy"}
+PEERS = {"C": "C", "diffrax": FIXED, "scipy": "SciPy"}
 
 if __name__ == "__main__":
     contend(*sys.argv[1:])

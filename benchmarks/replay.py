@@ -1,5 +1,5 @@
-"""A million samples through the PMSM observer, in float64, beside two NumPy peers that
-compute the same estimate: a loop over the samples, and a cascade of `lfilter`.
+"""A million samples through the PMSM observer, in float64, beside peers that compute the
+same estimate: in NumPy a loop over the samples and a cascade of `lfilter`, and C by hand.
 
 Every contender runs in a fresh process of its own, alone, which also measures its memory.
 """
@@ -7,6 +7,7 @@ Every contender runs in a fresh process of its own, alone, which also measures i
 import importlib.util
 import json
 import resource
+import shutil
 import statistics
 import subprocess
 import sys
@@ -58,7 +59,7 @@ def oracles() -> ModuleType:
     return module
 
 
-def aslo(t, u, y):
+def aslo(t, u, y, engine: str = "scan"):
     import jax
 
     import aslo_jax
@@ -66,7 +67,13 @@ def aslo(t, u, y):
     jax.config.update("jax_enable_x64", True)
     relation = aslo_jax.plants.FluxRelation(RESISTANCE, INDUCTANCE)
     observer = aslo_jax.AlgebraicObserver(relation, aslo_jax.LowPass(RATE))
-    return lambda: jax.block_until_ready(aslo_jax.replay(observer, t, u, y)).value
+    return lambda: (
+        jax.block_until_ready(aslo_jax.replay(observer, t, u, y, engine=engine)).value
+    )
+
+
+def fused(t, u, y):
+    return aslo(t, u, y, "fused")
 
 
 def cascade(t, u, y):
@@ -79,11 +86,43 @@ def loop(t, u, y):
     return lambda: replay_loop(t, u, y, **SETTINGS).flux
 
 
+def by_hand(t, u, y):
+    """`replay.c`, compiled by gcc."""
+    import ctypes
+
+    import numpy as np
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "replay.so"
+        flags = ["-O3", "-march=native", "-fno-math-errno", "-shared", "-fPIC"]
+        source = Path(__file__).with_name("replay.c")
+        subprocess.run(["gcc", *flags, "-o", str(path), str(source), "-lm"], check=True)
+        library = ctypes.CDLL(str(path))
+    decay, left, right = oracles().hold_weights(RATE, INTERVAL)
+    settings = INTERVAL, RESISTANCE, INDUCTANCE, RATE, decay, left / RATE, right / RATE
+    settings = *settings, sys.float_info.epsilon**0.75
+    inputs = [np.ascontiguousarray(x) for x in (u, y)]
+
+    def run():
+        outputs = np.empty((len(t), 2)), np.empty(len(t))
+        library.replay(
+            ctypes.c_long(len(t)),
+            *map(ctypes.c_double, settings),
+            *(ctypes.c_void_p(x.ctypes.data) for x in (*inputs, *outputs)),
+        )
+        return outputs[0]
+
+    return run
+
+
 CONTENDERS = {
     "aslo": (aslo, SAMPLES, RUNS),
+    "fused": (fused, SAMPLES, RUNS),
     "cascade": (cascade, SAMPLES, RUNS),
     "loop": (loop, LOOP_SAMPLES, 3),
 }
+if shutil.which("gcc"):
+    CONTENDERS["C"] = (by_hand, SAMPLES, RUNS)
 
 
 def contend(name: str, folder: str) -> None:

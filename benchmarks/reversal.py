@@ -16,6 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from .results import save
+
 RATIO = 100.0  # the bound: Repeat's peak error over that of least squares
 
 RESISTANCE, INDUCTANCE, MAGNET_FLUX, POLE_PAIRS = 8.875, 40.03e-3, 0.2086, 5
@@ -235,7 +237,7 @@ def main() -> list[str]:
         f"{ratios[0]:.0f}   (bound {RATIO:g} for the least)"
     )
     saved = {"ratios": ratios, "bound": RATIO, "contenders": figures}
-    Path("reversal.json").write_text(json.dumps(saved, indent=2) + "\n")
+    save("reversal", saved)
     if ratios[0] >= RATIO:
         return []
     return [
