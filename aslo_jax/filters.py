@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 from jaxtyping import Array, Float, PyTree
 
-from ._checks import is_concrete, optional_real, positive, real, stable
+from ._checks import optional_real, positive, real, stable
 
 
 class AbstractLaw(eqx.Module):
@@ -160,13 +160,6 @@ class LinearSystem(AbstractLaw):
         return jnp.tensordot(self.A, X, axes=1) + v
 
     def discretise(self, h):
-        if is_concrete(self.A, h):
-            # Now, also while something else is traced: no engine has to factorise then.
-            with jax.ensure_compile_time_eval():
-                return self._hold(h)
-        return self._hold(h)
-
-    def _hold(self, h):
         # exp of [[A h, 1, 0], [0, 0, 1], [0, 0, 0]] holds exp(Ah), phi1(Ah), phi2(Ah).
         k = self.A.shape[0]
         h = jnp.asarray(h, self.A.dtype)

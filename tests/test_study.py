@@ -231,7 +231,7 @@ def test_store_of_other_parameters_is_refused(stored):
     changed = jax.tree.map(lambda x: x, experiment)
     object.__setattr__(changed.sensor, "deviation", noise)
     before = snapshot(stored)
-    with pytest.raises(ValueError, match="another `(configuration|fingerprint)`"):
+    with pytest.raises(ValueError, match=r"another `(configuration|fingerprint)`"):
         run(changed, studies.SPREAD, **studies.settings(store=stored, resume=True))
     assert snapshot(stored) == before
 

@@ -6,12 +6,14 @@ A value is an array of node numbers. Elementwise primitives work on them entry b
 
 from typing import Any
 
+import jax
 import jax.extend.core as jex
+import jax.numpy as jnp
 import numpy as np
 
 from .graph import Graph
 from .rules import ELEMENTWISE, Unsupported
-from .structural import STRUCTURAL, Value, constant, select
+from .structural import STRUCTURAL, Value, constant, known, select
 
 UNROLLED = 4096  # the longest loop that is unrolled
 
@@ -81,9 +83,28 @@ def _apply(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
     if name in CONTROL:
         return CONTROL[name](graph, equation, *arguments)
     inner = _inner(params)
-    if inner is not None:
-        return _closed(graph, inner, arguments)
-    raise Unsupported("it has no rule")
+    try:
+        if inner is not None:
+            return _closed(graph, inner, arguments)
+        raise Unsupported("it has no rule")
+    except Unsupported:
+        values = [known(graph, argument) for argument in arguments]
+        if any(value is None for value in values):
+            raise
+        return [constant(graph, x) for x in _evaluated(equation, inner, values)]
+
+
+def _evaluated(equation: Any, inner: Any, values: list[Any]) -> list[np.ndarray]:
+    """What anything gives for constants, by JAX itself: a matrix exponential, say, that
+    depends on nothing but an interval."""
+    with jax.ensure_compile_time_eval():
+        values = [jnp.asarray(value) for value in values]
+        if inner is not None:
+            found = jex.jaxpr_as_fun(inner)(*values)
+        else:
+            found = equation.primitive.bind(*values, **equation.params)
+            found = found if equation.primitive.multiple_results else [found]
+        return [np.asarray(each) for each in found]
 
 
 CALLS = ("jaxpr", "call_jaxpr", "fun_jaxpr")
