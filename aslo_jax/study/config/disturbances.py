@@ -199,4 +199,4 @@ def chained(
     parts = [table.build(interval, first_stream + k) for k, table in enumerate(tables)]
     if len(parts) < 2:
         return parts[0] if parts else None
-    return disturbances.Chain(tuple(parts))
+    return disturbances.Chain(*parts)

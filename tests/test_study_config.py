@@ -1,0 +1,249 @@
+"""Files of studies: what they describe, what is refused, and the command that runs them."""
+
+import copy
+import tomllib
+from importlib.resources import files
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from aslo_jax.cli import main
+from aslo_jax.study import open_study
+from aslo_jax.study.config import NAMES, ConfigurationError, configure, read_configuration
+from aslo_jax.study.spread import Sampler
+
+FOLDER = files("aslo_jax.study") / "configs"
+
+SMALL = """
+title = "A small study"
+interval = 0.01
+horizon = 0.5
+every = 10
+
+[machine]
+kind = "double_integrator"
+
+[control]
+kind = "open_loop"
+signal = { kind = "wave", amplitude = 1.0, frequency = 2.0 }
+
+[observers.ASLO]
+kind = "aslo"
+cutoff = 5.0
+
+[[sensor]]
+kind = "bias"
+offset = 0.0
+
+[[sensor]]
+kind = "noise"
+deviation = 0.01
+
+[spread.speed]
+where = "initial.1"
+distribution = "normal"
+mean = 0.0
+deviation = 1.0
+
+[spread.bias]
+where = "sensor.parts.0.offset"
+distribution = "uniform"
+low = -0.1
+high = 0.1
+
+[metrics.rms]
+kind = "rms"
+after = 0.1
+
+[metrics.settling]
+kind = "settling"
+tolerance = 0.1
+"""
+
+
+def test_every_ready_made_study_has_a_name():
+    assert {f"{name}.toml" for name in NAMES} == {f.name for f in FOLDER.iterdir()}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_ready_made_studies_step(name):
+    """They can be read, every spread names something, and a step of a sample keeps all
+    shapes and types; what is estimated has the shape of what is hidden."""
+    found = read_configuration(name)
+    sampler = Sampler(found.experiment, found.spread, 0, 4)
+    assert sampler.names, "a study without a spread"
+    values = sampler.values(0, 4)
+    assert np.isfinite(values).all()
+    sample = jax.tree.map(lambda x: x[0], sampler(np.arange(4), values))
+
+    def two(sample):
+        experiment = sampler.make(sample)
+        carry, first = experiment.init()
+        return carry, first, *experiment.advance(0, carry, experiment.prepare(carry))
+
+    shapes = lambda tree: [(x.shape, x.dtype) for x in jax.tree.leaves(tree)]
+    carry, first, after, record = jax.eval_shape(two, sample)
+    assert shapes(carry) == shapes(after)
+    assert shapes(first) == shapes(record)
+    hidden = record.hidden.shape
+    assert hidden == (len(found.entries),)
+    assert {e.value.shape for e in record.estimates.values()} == {hidden}
+    assert found.scale is None or found.scale.shape == hidden
+    assert set(found.units) == {*found.metrics, "error"}
+
+
+def test_mismatch_is_of_the_plant_alone():
+    """A spread of the plant leaves observers and controller at the nominal values."""
+    found = read_configuration("pmsm")
+    sampler = Sampler(found.experiment, found.spread, 0, 4)
+    values = sampler.values(0, 4)
+    sample = jax.tree.map(lambda x: x[1], sampler(np.arange(4), values))
+    made = sampler.make(sample)
+    assert float(made.plant.resistance) != 8.875
+    assert float(made.observers["ASLO"].relation.resistance) == 8.875
+    assert float(made.controller.motor.resistance) == 8.875
+
+
+def test_a_file_is_what_it_says():
+    found = configure(tomllib.loads(SMALL))
+    e = found.experiment
+    assert (found.steps, found.every, found.entries) == (50, 10, ("speed",))
+    assert found.units == {"rms": "m/s", "settling": "s", "error": "m/s"}
+    assert float(e.controller.signal(jnp.asarray(0.3))) == pytest.approx(np.sin(0.6))
+    assert float(e.observers["ASLO"].filter.rate) == 5.0
+    assert e.sensor.parts[1].stream == 1
+    assert found.content["machine"]["position"] == 0.0  # with the defaults
+
+
+def test_signals_of_several_entries():
+    found = read_configuration("robotic_leg")
+    wanted = found.experiment.controller.reference(jnp.asarray(0.5))
+    np.testing.assert_allclose(wanted, [1.0 + 0.2 * np.sin(0.5), 0.6 * np.sin(0.65)])
+
+
+CHANGES = {
+    "a key that is missing": (
+        {"interval": None},
+        "`interval`, between samples in time (s), is missing: it must be a positive finitr",
+    ),
+    "a table that is missing": ({"observers": None}, "`observers`, the observers, is miss"),
+    "an unknown key": (
+        {"observers.ASLO.cutof": 1.0},
+        "unknown key `observers.ASLO.cutof` (did you mean `cutoff`? allowed: kind, cutoff,",
+    ),
+    "out of range": (
+        {"observers.ASLO.cutoff": -1.0},
+        "`observers.ASLO.cutoff`, cutoff of the filter (rad/s), must be greater than 0, "
+        "but is -1.0",
+    ),
+    "a wrong type": (
+        {"horizon": "long"},
+        "`horizon`, how long a trajectory is (s), must be a number, but is 'long'",
+    ),
+    "a wrong kind": (
+        {"observers.ASLO.kind": "also"},
+        '`observers.ASLO.kind` must be one of "aslo", "a-aslo", "fo1",',
+    ),
+    "no kind": ({"machine.kind": None}, '`machine.kind` is missing: it must be one of "do'),
+    "an observer of another machine": (
+        {"observers.ASLO": {"kind": "fo2", "gain": 1000.0}},
+        '`observers.ASLO.kind`, "fo2", is for "pmsm", but `machine.kind` is '
+        '"double_integrator"',
+    ),
+    "a metric of another machine": (
+        {"metrics.rms": {"kind": "angle"}},
+        '`metrics.rms.kind`, "angle", is for "pmsm"',
+    ),
+    "a disturbance in the wrong place": (
+        {"sensor": [{"kind": "lag", "tau": 0.1}]},
+        '`sensor.0.kind`, "lag", is for actuator only',
+    ),
+    "a distribution": (
+        {"spread.speed.distribution": "gaussian"},
+        '`spread.speed.distribution` must be one of "normal", "uniform", "log-normal",',
+    ),
+    "limits that are crossed": ({"spread.bias.low": 0.2}, "`high` must be above `low`"),
+    "a choice": ({"design": "grid"}, '`design`, the design, must be "iid" or "lhs" or "so'),
+    "a horizon": ({"horizon": 0.505}, "`horizon` must be a whole number of intervals of 0"),
+    "a decimation": ({"every": 7}, "`every` must divide the 50 samples of the horizon, bu"),
+    "a scale": ({"scale": [1.0, 2.0]}, "`scale` must hold 1 numbers, for speed, but is"),
+}  # fmt: skip
+
+
+def changed(changes):
+    content = copy.deepcopy(tomllib.loads(SMALL))
+    for path, value in changes.items():
+        *way, last = path.split(".")
+        table = content
+        for name in way:
+            table = table[name]
+        if value is None:
+            del table[last]
+        else:
+            table[last] = value
+    return content
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_refused_files(name):
+    changes, message = CHANGES[name]
+    with pytest.raises(ConfigurationError) as caught:
+        configure(changed(changes))
+    assert message in str(caught.value)
+
+
+def test_refused_paths(tmp_path):
+    with pytest.raises(FileNotFoundError, match="ready-made study; those are double_integ"):
+        read_configuration("pmsn")
+    path = tmp_path / "study.toml"
+    path.write_text("title =")
+    with pytest.raises(ConfigurationError, match="not valid TOML"):
+        read_configuration(path)
+    path.write_text(SMALL.replace('kind = "aslo"', ""))
+    with pytest.raises(
+        ConfigurationError, match=r"study.toml: `observers.ASLO.kind` is mis"
+    ):
+        read_configuration(path)
+
+
+# ---- the command ---------------------------------------------------------------------
+
+
+def command(*arguments, code=0):
+    with pytest.raises(SystemExit) as caught:
+        main(["study", *map(str, arguments)])
+    assert caught.value.code == code
+
+
+def test_command(tmp_path, capsys):
+    """It runs a ready-made study, goes on with it, and refuses to overwrite it."""
+    out = tmp_path / "out"
+    options = ("double_integrator", "--samples", 5, "--seed", 7, "--out", out)
+    command(*options)
+    said = capsys.readouterr()
+    assert "5 samples of 1000 steps" in said.out
+    assert "trajectory-steps per second" in said.out
+    assert "rms (m/s), median:" in said.out
+    assert "100%" in said.err
+    assert "steps/s" in said.err
+    found = open_study(out / "study.zarr")
+    assert dict(found.sizes) == {"sample": 5, "observer": 4, "entry": 1, "time": 51}
+    assert found["rms"].attrs["units"] == "m/s"
+    assert (found["rms"].sel(observer="Kalman") < found["rms"].sel(observer="ASLO")).all()
+    assert '"kind": "double_integrator"' in found.attrs["configuration"]
+    command(*options, code=2)
+    assert "exists; go on with it" in capsys.readouterr().err
+    command(*options, "--resume", "--quiet")
+    said = capsys.readouterr()
+    assert said.out == said.err == ""
+
+
+def test_refused_commands(tmp_path, capsys):
+    command("nothing", "--samples", 5, "--out", tmp_path, code=2)
+    assert "neither a file nor a ready-made study" in capsys.readouterr().err
+    both = ("--workers", 1, "--cluster", "tcp://nowhere:1")
+    command("pmsm", "--samples", 5, "--out", tmp_path / "out", *both, code=2)
+    assert "--cluster and --workers exclude each other" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
