@@ -277,6 +277,23 @@ def test_one_step_from_random_states():
         np.testing.assert_allclose(x, y, rtol=1e-13, atol=1e-13 * scale)
 
 
+def test_known_indices_are_known_under_jit():
+    """A chain's relation sets an entry at a known place. By hand: from rest under u = 1
+    the speed is t, and so is the estimate."""
+    chain = aslo.plants.IntegratorChain(2)
+
+    def make(push):
+        observer = aslo.AlgebraicObserver(chain.relation(), aslo.LowPass(30.0))
+        command = aslo.control.OpenLoop(lambda t: push + 0.0 * t)
+        return aslo.Experiment(chain, command, {"speed": observer}, 1e-3)
+
+    keep = lambda r: r.estimates["speed"].value
+    run = jax.jit(lambda b: run_batch(make, b, 20, record=keep, engine="fused").record)
+    found = run(jnp.array([1.0, 2.0]))[:, -1, 0]
+    # A parabola between samples is held as a line: wrong by no more than lam h^2 per unit.
+    np.testing.assert_allclose(found / jnp.array([1.0, 2.0]), 0.02, atol=30.0 * 1e-3**2)
+
+
 def test_what_cannot_be_compiled_is_refused_or_runs_by_scan_with_a_warning():
     with pytest.raises(NotFusible, match=r"test_engines\.py:\d+") as caught:
         run_batch(spinning, INERTIAS, 10, engine="fused")
