@@ -12,9 +12,12 @@ from jaxtyping import Array, Float
 def real(x: Any) -> Array:
     """Convert `x` to a floating-point array; arrays keep their floating dtype."""
     dtype = getattr(x, "dtype", None)
-    if dtype is not None and jnp.issubdtype(dtype, jnp.floating):
-        return jnp.asarray(x)
-    return jnp.asarray(x, dtype=float)
+    floating = dtype is not None and jnp.issubdtype(dtype, jnp.floating)
+    if not is_concrete(x):
+        return jnp.asarray(x, None if floating else float)
+    # A module that is made while something else is traced holds numbers, not tracers.
+    with jax.ensure_compile_time_eval():
+        return jnp.asarray(x, None if floating else float)
 
 
 def optional_real(x: Any) -> Array | None:

@@ -180,7 +180,8 @@ class Gyroscope(AbstractPlant):
         drag = jax.vmap(lambda d, w: d * w * jnp.abs(w))(self.damping, x)
         phase = (t * 7.0) % (2 * jnp.pi)
         push = jnp.zeros(3).at[2].set(jnp.sin(phase))
-        return jnp.linalg.inv(jnp.eye(3)) @ (jnp.cross(momentum, x) + u + push - drag)
+        # A product that is one, by a factorisation of what varies from lane to lane.
+        return jnp.linalg.inv(J) @ J @ (jnp.cross(momentum, x) + u + push - drag)
 
     def output(self, x):
         return x[:2]
@@ -304,6 +305,27 @@ def test_what_cannot_be_compiled_is_refused_or_runs_by_scan_with_a_warning():
         warnings.simplefilter("error")
         same = run_batch(spun, INERTIAS, 10, record=lambda r: r.x, engine="auto")
     np.testing.assert_allclose(found.record, same.record, rtol=1e-9, atol=1e-12)
+
+
+def test_modules_made_while_something_is_traced():
+    """Their numbers are numbers; what is traced itself must come with the samples."""
+
+    def made(gain, closed):
+        def make(sample):
+            rate = gain if closed else sample
+            observer = Washout(jnp.array(8.0) * rate)
+            return aslo.Experiment(
+                Spinner(INERTIAS[0], INERTIAS[1]), Network(NET), {"w": observer}, 1e-2
+            )
+
+        batch = jnp.full(2, gain)
+        keep = lambda r: r.estimates["w"].value
+        return run_batch(make, batch, 4, record=keep, engine="fused").record[:, -1]
+
+    within = jax.jit(lambda gain: made(gain, False))(1.5)
+    np.testing.assert_allclose(within, made(1.5, True), rtol=1e-12)
+    with pytest.raises(NotFusible, match="hand it over in `samples`"):
+        jax.jit(lambda gain: made(gain, True))(1.5)
 
 
 def loss(gains, engine):

@@ -11,6 +11,7 @@ import jax.extend.core as jex
 import jax.numpy as jnp
 import numpy as np
 
+from .._checks import is_concrete
 from .graph import Graph
 from .rules import ELEMENTWISE, Unsupported
 from .structural import STRUCTURAL, Value, constant, known, select
@@ -38,6 +39,12 @@ def flatten(graph: Graph, closed: Any, inputs: list[Value]) -> list[Value]:
 
 
 def _closed(graph: Graph, closed: Any, inputs: list[Value]) -> list[Value]:
+    if not is_concrete(*closed.consts):
+        raise NotFusible(
+            "The fused engine cannot compile a function that closes over a value which is "
+            "being traced (by jit, vmap or a derivative around it): hand it over in "
+            '`samples`, one for each, or use engine="scan".'
+        )
     consts = [constant(graph, c) for c in closed.consts]
     return _jaxpr(graph, closed.jaxpr, consts, inputs)
 
