@@ -8,6 +8,8 @@ import scipy.stats
 
 import aslo_jax as aslo
 from aslo_jax.control import FieldOriented, MotorFeedback
+from aslo_jax.control.base import OpenLoop
+from aslo_jax.disturbances import SampledNoise
 from aslo_jax.metrics import RMSError
 from aslo_jax.plants.machine import MachineState
 from aslo_jax.study.sensitivity import slopes, sobol_indices, to_text
@@ -67,11 +69,9 @@ def test_slopes_of_opposite_sign_do_not_cancel_in_the_rms():
 
 SPEED, LOAD = 3.0, 2.0  # rad/s, N m
 SPREAD = {"resistance": 8.875, "inductance": 40.03e-3, "inertia": 2e-3}
-DEVIATION = {name: 0.05 * nominal for name, nominal in SPREAD.items()}
 
 
-@pytest.fixture(scope="module")
-def metric():
+def motor_metric():
     """The rms flux error (Wb) of an observer that has the nominal parameters, of motors
     that do not, turning slowly under load."""
     nominal = aslo.plants.PMSM.bmp0701f(inertia=2e-3, load=lambda t: LOAD + 0.0 * t)
@@ -101,7 +101,9 @@ def metric():
     return evaluate
 
 
-def test_resistance_matters_at_low_speed_and_inductance_does_not(metric):
+def test_resistance_matters_at_low_speed_and_inductance_does_not():
+    metric = motor_metric()
+
     def evaluate(u):
         factors = 1.0 + 0.05 * scipy.stats.norm.ppf(u)
         columns = zip(SPREAD.items(), factors.T, strict=True)
@@ -113,31 +115,47 @@ def test_resistance_matters_at_low_speed_and_inductance_does_not(metric):
     assert table["inertia"].total.high < 0.02
 
 
-def test_slopes_through_the_engine_agree_with_differences(metric):
-    """Away from the nominal resistance, where the error has a corner."""
-    names = ("inductance", "resistance")
-    points = {name: np.full(4, SPREAD[name]) for name in names}
-    points["resistance"] *= [0.9, 0.95, 1.05, 1.1]
-    deviations = {name: DEVIATION[name] for name in names}
+def test_slopes_through_the_engine():
+    """The error of an observer of the double integrator that starts exactly is all noise:
+    the metric is in proportion to its deviation, and blind to the speed at the start."""
+    plant = aslo.plants.IntegratorChain()
+    keys = aslo.random.key(3)
+
+    def make(values):
+        observer = aslo.AlgebraicObserver(plant.relation(), aslo.LowPass(values["cutoff"]))
+        return aslo.Experiment(
+            plant,
+            OpenLoop(lambda t: jnp.sin(t)),
+            {"ASLO": observer},
+            0.01,
+            sensor=SampledNoise(values["deviation"], 0.01, keys),
+            initial=jnp.stack([jnp.zeros(()), values["speed"]]),
+        )
 
     def evaluate(values):
-        return metric(values | {"inertia": jnp.full_like(values["resistance"], 2e-3)})
+        rms = {"rms": RMSError("ASLO", after=0.5)}
+        batch = aslo.run_batch(make, values, 200, metrics=rms, engine="fused")
+        return batch.metrics["rms"][:, 0]
 
-    table = slopes(evaluate, points, deviations)
-    assert [slope.name for slope in table] == ["resistance", "inductance"]
-    assert table[0].rms.value > 10.0 * table[1].rms.value
-    # All differences in one batch: up and down for each parameter.
-    nudges = 1e-4 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-    ends = {
-        name: np.concatenate([points[name] + n * deviations[name] for n in nudges[:, k]])
-        for k, name in enumerate(("resistance", "inductance"))
+    points = {
+        "cutoff": np.array([4.0, 9.0, 16.0]),
+        "deviation": np.array([0.1, 0.2, 0.3]),
+        "speed": np.array([1.0, -2.0, 3.0]),
     }
-    up_r, down_r, up_l, down_l = np.split(np.asarray(evaluate(ends)), 4)
-    expected = np.mean(up_r - down_r) / 2e-4, np.mean(up_l - down_l) / 2e-4
-    # Differences of 1e-7 Wb of errors of 1e-1 Wb, which are right to 1e-14.
-    np.testing.assert_allclose(
-        [s.mean.value for s in table], expected, rtol=1e-4, atol=1e-8
-    )
+    # So small a scatter that rounding of the input's filter shows nowhere.
+    deviations = {"cutoff": 0.5, "deviation": 0.02, "speed": 1.0}
+    table = {slope.name: slope for slope in slopes(evaluate, points, deviations)}
+    value = np.asarray(evaluate(points))
+    gain = np.mean(value / points["deviation"])
+    np.testing.assert_allclose(table["deviation"].mean.value, 0.02 * gain, rtol=1e-3)
+    assert table["speed"].rms.value < 1e-3 * table["deviation"].rms.value
+    nudged = {
+        name: np.concatenate([x, x]) + (name == "cutoff") * np.repeat([1e-4, -1e-4], 3)
+        for name, x in points.items()
+    }
+    up, down = np.split(np.asarray(evaluate(nudged)), 2)
+    expected = 0.5 * np.mean(up - down) / 2e-4
+    np.testing.assert_allclose(table["cutoff"].mean.value, expected, rtol=1e-6)
 
 
 def test_metrics_that_have_no_indices():
