@@ -112,6 +112,8 @@ def test_samples_that_diverged_count_as_worst(dataset, page):
 
 def test_the_verdicts(page):
     assert "ASLO is best, with the median" in page
+    assert "rms flux error, norm of the entries (10⁻³ Wb)" in page
+    assert ">settling time (s)<" in page.replace("\n", "")
     assert "Peer &lt;1&gt; is best, with the median" in page
     ratio = re.search(r"has ([\d.]+) times the value of ASLO in the median sample", page)
     assert ratio and 2.8 < float(ratio[1]) < 3.3

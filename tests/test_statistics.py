@@ -128,6 +128,16 @@ def test_the_p_of_a_pair_is_scipy_s():
     np.testing.assert_allclose(found.p, expected, rtol=1e-12)
 
 
+def test_a_zero_does_not_outweigh_the_rest():
+    """A settles at once in six of 40 samples, and else takes three times as long."""
+    b = np.linspace(0.1, 0.2, 40)
+    a = np.where(np.arange(40) < 6, 0.0, 3.0 * b)
+    (found,) = compare({"A": a, "B": b})
+    assert found.better == "B" and found.p < 1e-4
+    assert found.wins.value == 0.15
+    np.testing.assert_allclose(found.ratio, 3.0)
+
+
 def test_diverging_loses_and_ties_are_ties():
     good = np.linspace(1.0, 2.0, 40)
     bad = np.where(np.arange(40) < 30, np.nan, good)

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 _WIDTH = np.log(1.01)
 _LEAST = 1e-15
 _BINS = int(np.ceil(np.log(1e9 / _LEAST) / _WIDTH))
-_BLOCK = 2**25  # bytes of trajectories that are read at once
+_BLOCK = 2**22  # bytes of trajectories that are read at once
 
 
 class Band(NamedTuple):

@@ -54,8 +54,10 @@ def compare(
     `values` by observer, sample by sample on the same random numbers.
 
     The test is on the logarithm of the ratio: errors spread over decades, and a test on
-    differences would hear the largest ones only. A sample that diverged (infinite or not a
-    number) is worse than any that did not; where both did, or both are zero, it is a tie.
+    differences would hear the largest ones only. It is on the difference for a pair with a
+    zero in it, as times and fractions have, whose ratio to anything says too much. A sample
+    that diverged (infinite or not a number) is worse than any that did not; where both did,
+    or both are zero, it is a tie.
 
     Source: Wilcoxon 1945, doi:10.2307/3001968; ties by Pratt 1959,
     doi:10.1080/01621459.1959.10501526; Holm 1979, doi:10.2307/4615733.
@@ -67,8 +69,8 @@ def compare(
             f"dimension, but their shapes are {sizes}."
         )
     pairs = list(itertools.combinations(values, 2))
-    logarithms = {name: _logarithm(name, x) for name, x in values.items()}
-    tests = [_test(logarithms[a], logarithms[b], confidence) for a, b in pairs]
+    checked = {name: _checked(name, x) for name, x in values.items()}
+    tests = [_test(checked[a], checked[b], confidence) for a, b in pairs]
     corrected = holm(np.array([min(1.0, 2.0 * min(test[3:])) for test in tests]))
     found = []
     for (a, b), test, p in zip(pairs, tests, corrected, strict=True):
@@ -120,31 +122,32 @@ def holm(p: Float[np.ndarray, " tests"]) -> Float[np.ndarray, " tests"]:
 _SAME = Interval(1.0, 1.0, 1.0)
 
 
-def _logarithm(name: str, x: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+def _checked(name: str, x: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
     x = judged(x)
     if (x < 0).any():
         raise ValueError(
             "Argument `values` must not be negative (take the magnitude of a signed "
             f"error), but the least of {name!r} is {x.min():.6g}."
         )
-    with np.errstate(divide="ignore"):
-        return np.log(x)
+    return x
 
 
 def _test(
     a: Float[np.ndarray, " N"], b: Float[np.ndarray, " N"], confidence: float
 ) -> tuple[Interval, Interval, float, float, float]:
     """The ratio, wins, ties, and the chances of ranks so low and so high."""
-    with np.errstate(invalid="ignore"):
-        d = np.where(a == b, 0.0, a - b)
-    ratio = Interval(*np.exp(quantile(d, 0.5, confidence)).tolist())
-    wins = proportion(int((d < 0).sum()), d.size, confidence)
-    ties = float((d == 0).mean())
+    tie = a == b
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logarithm = np.where(tie, 0.0, np.log(a) - np.log(b))
+        difference = np.where(tie, 0.0, a - b)
+    ratio = Interval(*np.exp(quantile(logarithm, 0.5, confidence)).tolist())
+    wins = proportion(int((a < b).sum()), a.size, confidence)
+    ties = float(tie.mean())
     if ties == 1.0:
         return ratio, wins, ties, 1.0, 1.0
+    d = logarithm if a.min() > 0.0 and b.min() > 0.0 else difference
     # Ranks only: any number beyond the finite ones stands for infinity.
-    finite = np.abs(d[np.isfinite(d)])
-    far = 2.0 * finite.max(initial=0.5)
+    far = 2.0 * np.abs(d[np.isfinite(d)]).max(initial=0.5)
     d = np.clip(d, -far, far)
     return ratio, wins, ties, _signed_rank(d, "less"), _signed_rank(d, "greater")
 

@@ -34,7 +34,7 @@ def table(dataset: Any, name: str, confidence: float, seed: int = 0) -> Table:
     bound = dataset.get(f"{BOUND}_{name}")
     return Table(
         name,
-        label(dataset[name]),
+        label(dataset[name]) + _entries(dataset[name]),
         unit(dataset[name]),
         {o: summarise(x, confidence, seed) for o, x in values.items()},
         ranking(values, confidence, comparisons),
@@ -107,6 +107,13 @@ def _of_samples(dataset: Any) -> list[str]:
         for name, variable in dataset.data_vars.items()
         if {"sample", "observer"} <= set(variable.dims) and "time" not in variable.dims
     ]
+
+
+def _entries(variable: Any) -> str:
+    """What a label says of a metric that has several numbers per sample."""
+    others = set(variable.dims) - {"sample", "observer"}
+    several = any(variable.sizes[dimension] > 1 for dimension in others)
+    return ", norm of the entries" if several else ""
 
 
 def _is_flag(variable: Any) -> bool:
