@@ -28,7 +28,10 @@ class AbstractLoss(eqx.Module):
     """`loss(tree, key)`, to be minimised over leaves of the tree: the same key, the same
     random numbers."""
 
-    most_forward: eqx.AbstractClassVar[int]
+    @property
+    @abc.abstractmethod
+    def most_forward(self) -> int:
+        """The number of parameters up to which forward derivatives are the cheaper ones."""
 
     @abc.abstractmethod
     def __call__(self, tree: PyTree, key: random.Key) -> Float[Array, ""]:
@@ -232,7 +235,6 @@ class MonteCarlo(AbstractLoss):
     reduce: Reduction = mean
     engine: str = eqx.field(static=True, default="auto")
     threads: int | None = eqx.field(static=True, default=None)
-    most_forward = 256
 
     def __check_init__(self):
         whole("samples", self.samples)
@@ -240,6 +242,12 @@ class MonteCarlo(AbstractLoss):
 
     def __call__(self, tree, key):
         return self.reduce(self.costs(tree, key))
+
+    @property
+    def most_forward(self):
+        # A scan, which is what reverse derivatives need, takes as long as the tangents of
+        # some hundred directions in the fused engine.
+        return 256
 
     def costs(self, tree: PyTree, key: random.Key) -> Float[Array, "N *costs"]:
         """The metric of every sample."""
@@ -287,7 +295,6 @@ class Recorded(AbstractLoss):
     scale: Float[Array, "*n"] = eqx.field(converter=real, default=1.0)
     substeps: int = eqx.field(static=True, default=1)
     place: Callable[[PyTree], AbstractObserver] = lambda observer: observer
-    most_forward = 16
 
     def __check_init__(self):
         positive("scale", self.scale)
@@ -300,6 +307,10 @@ class Recorded(AbstractLoss):
         counts = jnp.asarray(self.t) - self.t[0] >= self.after
         square = jnp.where(counts, jnp.sum(error * error, axis=1), 0.0)
         return jnp.sum(square) / jnp.maximum(jnp.sum(counts), 1)
+
+    @property
+    def most_forward(self):
+        return 16
 
     def reversible(self):
         return self
