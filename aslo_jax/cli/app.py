@@ -12,6 +12,7 @@ try:
 except ModuleNotFoundError as error:
     raise missing("typer", "cli") from error
 
+from .calibrate import calibrate
 from .estimate import HELP, estimate
 from .paper import paper
 from .sample import sample
@@ -46,6 +47,7 @@ def start(
 
 
 app.command(help=HELP)(estimate)
+app.command()(calibrate)
 app.command()(sample)
 app.command()(paper)
 app.command(help=STUDY_HELP)(study)

@@ -10,7 +10,7 @@ class Information(NamedTuple):
     """Of `k` parameters, relative, with all other unknowns free.
 
     - `curvature`: of half the sum of squares, shape `(k, k)`, in units of the errors;
-    - `covariance`: of the parameters, robust, shape `(k, k)`, along the searched directions;
+    - `covariance`: of the parameters, robust, of shape `(k, k)`, along what was searched;
     - `deviation`: its roots, shape `(k,)`.
     """
 
@@ -62,7 +62,7 @@ def information(
     # (Newey, West, Econometrica 55, 1987).
     score = np.einsum("ngv,ng->nv", along, errors)
     spread = score.T @ score
-    lags = int(round(score.shape[0] ** (1 / 3)))
+    lags = round(score.shape[0] ** (1 / 3))
     for lag in range(1, lags + 1):
         product = score[lag:].T @ score[:-lag]
         spread += (1.0 - lag / (lags + 1)) * (product + product.T)

@@ -38,6 +38,18 @@ class AbstractPrediction(eqx.Module):
     ) -> Float[Array, " g"]:
         """How far the equations are from holding, in any units: their size cancels."""
 
+    @abc.abstractmethod
+    def step(
+        self,
+        x: Float[Array, " n"],
+        disturbance: Float[Array, " w"],
+        u: Float[Array, " m"],
+        y: tuple[Float[Array, " p"], Float[Array, " p"]],
+        h: Float[Array, ""],
+    ) -> Float[Array, " n"]:
+        """x after `h` seconds, with u held, y on a line between two values, and
+        `disturbance` added to the derivatives that it enters."""
+
     @property
     @abc.abstractmethod
     def disturbed(self) -> tuple[int, ...]:
@@ -77,6 +89,13 @@ class RelationPrediction(AbstractPrediction):
                 given = jnp.sum(terms.c * hidden) - (0.0 if terms.d is None else terms.d)
                 found.append(given[None])
         return jnp.concatenate(found)
+
+    def step(self, x, disturbance, u, y, h):
+        # Heun's method, exact where the known derivative does not depend on x.
+        added = jnp.zeros_like(x).at[jnp.asarray(self.disturbed)].add(disturbance)
+        left = self.drift(x, u, y[0]) + added
+        right = self.drift(x + h * left, u, y[1]) + added
+        return x + 0.5 * h * (left + right)
 
     def gap(self, x, u, y):
         found = []
@@ -122,6 +141,11 @@ class NewtonPrediction(AbstractPrediction):
         rate = self.system.vector_field(jnp.zeros(()), state, u)
         return jnp.concatenate([rate.position, rate.velocity])
 
+    def step(self, x, disturbance, u, y, h):
+        added = jnp.zeros_like(x).at[jnp.asarray(self.disturbed)].add(disturbance)
+        rate = lambda t, x: self.drift(x, u, y[0]) + added
+        return runge_kutta(rate, jnp.zeros_like(h), x, h)
+
     def gap(self, x, u, y):
         del u
         return y - x[: self.coordinates]
@@ -129,25 +153,6 @@ class NewtonPrediction(AbstractPrediction):
     @property
     def disturbed(self):
         return tuple(range(self.coordinates, 2 * self.coordinates))
-
-
-def step(
-    prediction: AbstractPrediction,
-    x: Float[Array, " n"],
-    disturbance: Float[Array, " w"],
-    u: Float[Array, " m"],
-    y: tuple[Float[Array, " p"], Float[Array, " p"]],
-    h: Float[Array, ""],
-) -> Float[Array, " n"]:
-    """x after `h` seconds, with u held, y on a line, and `disturbance` added to the
-    derivatives that it enters."""
-    entries = jnp.asarray(prediction.disturbed)
-
-    def rate(t, x):
-        between = y[0] + (t / h) * (y[1] - y[0])
-        return prediction.drift(x, u, between).at[entries].add(disturbance)
-
-    return runge_kutta(rate, jnp.zeros_like(h), x, h)
 
 
 def observers_of(model: Any) -> tuple[AlgebraicObserver, ...] | None:

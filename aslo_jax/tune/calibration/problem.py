@@ -28,6 +28,9 @@ from .whiten import Signals
 SLOPE = 20  # rows from which the first velocities of a mechanical system are guessed
 
 
+Vector = Array | np.ndarray
+
+
 class Form(eqx.Module):
     """How a model predicts: a mechanical system, or relations with what is known of them.
 
@@ -39,7 +42,7 @@ class Form(eqx.Module):
     rates: tuple[bool, ...] = eqx.field(static=True, default=())
     opened: tuple[bool, ...] = eqx.field(static=True, default=())
 
-    def prediction(self, model: Any, constants: Array) -> AbstractPrediction:
+    def prediction(self, model: Any, constants: Vector) -> AbstractPrediction:
         """Of the `model`, with the values of its free constants."""
         if self.coordinates:
             return NewtonPrediction(model, self.coordinates)
@@ -62,12 +65,12 @@ class Problem(eqx.Module):
     unknowns: Float[np.ndarray, " v"]
     states: int = eqx.field(static=True)
 
-    def split(self, v: Array) -> tuple[Any, Array, Array]:
+    def split(self, v: Vector) -> tuple[Any, Vector, Vector]:
         """The model, the first states and the constants of a vector of unknowns."""
         k = len(self.parameters.names)
         return self.parameters.place(v[:k]), v[k : k + self.states], v[k + self.states :]
 
-    def prediction(self, v: Array) -> tuple[AbstractPrediction, Array]:
+    def prediction(self, v: Vector) -> tuple[AbstractPrediction, Vector]:
         """What is predicted with the unknowns `v`, and from which states on."""
         model, x0, constants = self.split(v)
         return self.form.prediction(model, constants), x0
@@ -145,10 +148,7 @@ def _related(parameters, t, u, y, cutoff, constant, scale):
     whole = Signals(np.diff(t), u, y)
     if cutoff is None:
         cutoff = start.typical_cutoff(relations, whole)
-
-    def observers(model):
-        return start.algebraic_observers(model, cutoff)
-
+    observers = start.Observers(cutoff)
     sizes = tuple(term.z.shape[0] + rate for term, rate in zip(terms, rates, strict=True))
     form = Form(sizes=sizes, rates=rates, opened=opened)
     estimates = [replay(o, t, u, y) for o in observers(parameters.model)]
@@ -167,8 +167,8 @@ def _related(parameters, t, u, y, cutoff, constant, scale):
     if certified.sum() < 0.1 * t.size:
         raise ValueError(
             "No calibration: the algebraic estimates are certified in "
-            f"{100 * certified.mean():.2g} % of the rows of the log, and a tenth is needed; "
-            "record a run in motion, or choose another `cutoff`."
+            f"{100 * certified.mean():.2g} % of the rows of the log, but a tenth is "
+            "needed; record a run in motion, or choose another `cutoff`."
         )
     k = int(np.argmax(certified))
     signals = Signals(np.diff(t)[k:], u[k:], y[k:])

@@ -31,10 +31,10 @@ class Undetermined:
 class Calibration:
     """The outcome of [`calibrate`][].
 
-    - `model`: what was calibrated, with its new parameters. Along an undetermined direction
-      it stays where it was;
-    - `before`, `after`: by name, in the units of the parameters; `after` is NaN for one that
-      is not determined;
+    - `model`: what was calibrated, with its new parameters. Along an undetermined
+      direction it stays where it was;
+    - `before`, `after`: by name, in the units of the parameters; `after` is NaN for one
+      that is not determined;
     - `interval`: by name, (low, high), which holds the true value with the `confidence`, if
       the model is right; NaN as `after`;
     - `undetermined`: directions that the record does not determine;

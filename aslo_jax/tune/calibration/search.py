@@ -15,7 +15,7 @@ from .information import Information, information
 from .parameters import chosen
 from .problem import Problem, problem_of
 from .result import Calibration, Undetermined
-from .start import PRIOR
+from .start import PRIOR, paired
 from .whiten import Gains, Noise, errors, kalman
 
 SETTLED = 0.05  # a change in standard deviations that ends the search
@@ -89,12 +89,15 @@ def calibrate(
     while not reason:
         done, before = done + 1, v
         v, known = search.round(before, basis)
-        moved = float(np.max(np.abs(v - before)[:k] / known.deviation, initial=0.0))
+        # What wanders along flat directions need not settle. They are taken out when the
+        # rest has: before, a model that is off looks like noise.
+        news = known.flat(factor, resolution, basis)
+        rest = scipy.linalg.null_space(np.concatenate([flat, news], axis=1).T)
+        moves = np.abs(rest.T @ (v - before)[:k]) / known.along(rest)
+        moved = float(np.max(moves, initial=0.0))
         progress(f"round {done}: the parameters move by {moved:.2g} deviations")
         if moved > SETTLED and done < rounds:
             continue
-        # Only now: before it settles, a model that is off looks like noise.
-        news = known.flat(factor, resolution, basis)
         if news.shape[1] == 0:
             reason = "it settled" if moved <= SETTLED else "the rounds are used up"
             break
@@ -169,24 +172,22 @@ class _Search:
 
     def round(self, v: Float[np.ndarray, " v"], basis: Float[np.ndarray, "k r"]) -> _Round:
         """One round from the unknowns `v`, along the directions `basis`."""
-        problem, k, r = self.problem, *basis.shape
-        self.levels = self._levels(v)
-        gains = _gains(problem, v, self.levels, self.drift, self.reference)
+        k, r = basis.shape
+        gains = self._gains(v)
+        prior = np.eye(r, r + v.size - k) / PRIOR
 
         def whole(w):
             return np.concatenate([basis @ w[:r], w[r:]])
 
-        def rows(w):
-            e = np.asarray(_errors(problem, whole(w), self.reference, gains))
-            return np.concatenate([np.ravel(e), w[:r] / PRIOR])
+        def evaluated(w):
+            e, J = map(np.asarray, _errors(self.problem, whole(w), self.reference, gains))
+            rows = np.concatenate([np.ravel(e), w[:r] / PRIOR])
+            flat = J.reshape(-1, v.size)
+            return rows, np.concatenate(
+                [np.concatenate([flat[:, :k] @ basis, flat[:, k:]], axis=1), prior]
+            )
 
-        def slopes(w):
-            J = np.asarray(_slopes(problem, whole(w), self.reference, gains))
-            J = J.reshape(-1, J.shape[-1])
-            J = np.concatenate([J[:, :k] @ basis, J[:, k:]], axis=1)
-            prior = np.concatenate([np.eye(r) / PRIOR, np.zeros((r, J.shape[1] - r))], 1)
-            return np.concatenate([J, prior])
-
+        rows, slopes = paired(evaluated)
         solution = scipy.optimize.least_squares(
             rows,
             np.concatenate([basis.T @ v[:k], v[k:]]),
@@ -196,21 +197,30 @@ class _Search:
             max_nfev=15,
         )
         v = whole(solution.x)
-        self.errors = np.asarray(_errors(problem, v, self.reference, gains))
-        J = np.asarray(_slopes(problem, v, self.reference, gains))
-        return _Round(v, information(self.errors, J, basis))
+        e, J = _errors(self.problem, v, self.reference, gains)
+        self.errors = np.asarray(e)
+        return _Round(v, information(self.errors, np.asarray(J), basis))
 
-    def _levels(self, v: Float[np.ndarray, " v"]) -> Float[np.ndarray, " 2"]:
+    def _gains(self, v: Float[np.ndarray, " v"]) -> Gains:
+        """Those of the noise levels of greatest likelihood."""
+
+        def evaluated(levels):
+            return _likelihood(self.problem, v, levels, self.drift, self.reference)
+
         def cost(levels):
-            value, slope = _likelihood(self.problem, v, levels, self.drift, self.reference)
+            value, slope, _ = evaluated(levels)
             return float(value), np.asarray(slope)
 
-        limits = [(-7.0, 7.0), (np.log(1e-8), np.log(3.0))]
         found = scipy.optimize.minimize(
-            cost, self.levels, jac=True, method="L-BFGS-B", bounds=limits,
+            cost,
+            self.levels,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=[(-7.0, 7.0), (np.log(1e-8), np.log(3.0))],
             options={"maxiter": 15},
-        )  # fmt: skip
-        return found.x
+        )
+        self.levels = found.x
+        return evaluated(found.x)[2]
 
 
 def _rough(y: Float[np.ndarray, "N p"]) -> Float[np.ndarray, " p"]:
@@ -229,32 +239,27 @@ def _noise(levels, drift, reference) -> Noise:
 
 
 @eqx.filter_jit
-def _gains(problem: Problem, v, levels, drift, reference):
-    prediction, x0 = problem.prediction(v)
-    return kalman(prediction, x0, _noise(levels, drift, reference), problem.signals)[0]
-
-
-@eqx.filter_jit
 def _likelihood(problem: Problem, v, levels, drift, reference):
+    """Negative, per row; its slope in the levels; and the gains that belong to them."""
     prediction, x0 = problem.prediction(v)
 
     def cost(levels):
         noise = _noise(levels, drift, reference)
-        return kalman(prediction, x0, noise, problem.signals)[1]
+        gains, value = kalman(prediction, x0, noise, problem.signals)
+        return value, (value, gains)
 
-    return cost(levels), jax.jacfwd(cost)(levels)
+    slope, (value, gains) = jax.jacfwd(cost, has_aux=True)(levels)
+    return value, slope, gains
 
 
 @eqx.filter_jit
 def _errors(problem: Problem, v, reference, gains: Gains):
-    prediction, x0 = problem.prediction(v)
-    return errors(prediction, x0, reference, gains, problem.signals)
+    """The errors and their slopes in the unknowns."""
 
-
-@eqx.filter_jit
-def _slopes(problem: Problem, v, reference, gains: Gains):
     def rows(v):
         prediction, x0 = problem.prediction(v)
-        return errors(prediction, x0, reference, gains, problem.signals)
+        found = errors(prediction, x0, reference, gains, problem.signals)
+        return found, found
 
-    return jax.jacfwd(rows)(v)
+    slopes, found = jax.jacfwd(rows, has_aux=True)(v)
+    return found, slopes

@@ -1,15 +1,18 @@
 """Where the search starts: parameters with which the algebraic estimate satisfies the
 relation best, and the states and constants that go with them."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 from jaxtyping import Array, Float
 
+from ..._checks import real
 from ...filters import LowPass
 from ...guard import Guard
 from ...observers import AlgebraicObserver
@@ -23,21 +26,23 @@ from .whiten import Signals
 # and of the parameters' starting values: an estimate of noise and transients, and a guess.
 # They matter where the record determines little, and there they keep the search at home.
 RESIDUAL, PRIOR = 0.01, 0.3
+THRESHOLD = 1e-3  # of the guard of an observer that is not given
 TIME_CONSTANTS = 2.0  # of the filter, after which an estimate is used
 
 
-def algebraic_observers(
-    model: Any, cutoff: Float[Array, ""] | float | None
-) -> tuple[AlgebraicObserver, ...]:
-    """Those of an observer, or of a plant's relations with `cutoff` (rad/s)."""
-    found = observers_of(model)
-    if found is None:
-        relations = relations_of(model) or ()
-        assert cutoff is not None
-        found = tuple(
-            AlgebraicObserver(r, LowPass(cutoff), guard=Guard(1e-3)) for r in relations
-        )
-    return found
+class Observers(eqx.Module):
+    """The algebraic observers in an observer, or those of a plant's relations with `cutoff`
+    (rad/s)."""
+
+    cutoff: Float[Array, ""] = eqx.field(converter=real)
+
+    def __call__(self, model: Any) -> tuple[AlgebraicObserver, ...]:
+        found = observers_of(model)
+        if found is None:
+            filter, guard = LowPass(self.cutoff), Guard(THRESHOLD)
+            relations = relations_of(model) or ()
+            found = tuple(AlgebraicObserver(r, filter, guard=guard) for r in relations)
+        return found
 
 
 def typical_cutoff(relations: tuple[Relation, ...], signals: Signals) -> float:
@@ -74,7 +79,7 @@ def settling(observer: AlgebraicObserver) -> Array:
 
 def first_guess(
     parameters: Parameters,
-    observers: Callable[[Any], tuple[AlgebraicObserver, ...]],
+    observers: Observers,
     t: Float[np.ndarray, " N"],
     signals: Signals,
     open_constants: tuple[bool, ...],
@@ -83,22 +88,52 @@ def first_guess(
     motor, for which the weighted relative variance of `|flux - L i|^2` is least.
 
     Rate relations of one unknown hold by construction: they start where they are."""
-    _, u, y = signals
+    cost = _Relative(parameters, observers, jnp.asarray(t), signals, open_constants)
+    rows, slopes = paired(lambda q: _rows(cost, q))
+    solution = scipy.optimize.least_squares(
+        rows,
+        np.zeros(parameters.value.size),
+        jac=slopes,  # pyright: ignore[reportArgumentType]
+        method="lm",
+        max_nfev=30,
+    )
+    return solution.x
 
-    @jax.jit
-    def rows(q):
-        found = [(q - 0.0) / PRIOR]
+
+def paired(evaluate: Callable[[np.ndarray], Any]) -> tuple[Callable, Callable]:
+    """Values and slopes as two functions, from one that gives both: the solver asks for
+    them one after the other at the same point."""
+
+    @functools.lru_cache(maxsize=2)
+    def at(bytes_of_x):
+        return tuple(np.asarray(part) for part in evaluate(np.frombuffer(bytes_of_x)))
+
+    return (lambda x: at(x.tobytes())[0]), (lambda x: at(x.tobytes())[1])
+
+
+class _Relative(eqx.Module):
+    """The relative residuals of the algebraic estimates, over parameters `q`."""
+
+    parameters: Parameters
+    observers: Observers
+    t: Float[Array, " N"]
+    signals: Signals
+    opened: tuple[bool, ...] = eqx.field(static=True)
+
+    def __call__(self, q):
+        t, (_, u, y) = self.t, self.signals
+        found = [q / PRIOR]
         for observer, is_open in zip(
-            observers(parameters.place(q)), open_constants, strict=True
+            self.observers(self.parameters.place(q)), self.opened, strict=True
         ):
-            estimate = replay(observer, t, u, y)
             terms = jax.eval_shape(observer.relation, u[0], y[0])
             if isinstance(terms, Rate):
                 continue
+            estimate = replay(observer, t, u, y)
             gap, slope = jax.vmap(
                 lambda x, u, y, o=observer: residual(o.relation(u, y), x)
             )(estimate.value, u, y)
-            w = jax.lax.stop_gradient(trusted(estimate, jnp.asarray(t), observer))
+            w = jax.lax.stop_gradient(trusted(estimate, t, observer))
             w = w / jnp.maximum(jnp.sum(w), 1e-300)
             # Relative, so that nothing is gained by a state that shrinks.
             size = jnp.sum(w * jnp.sum(slope**2, axis=1))
@@ -110,12 +145,12 @@ def first_guess(
             found.append(jnp.sqrt(w * windows) * relative / RESIDUAL)
         return jnp.concatenate(found)
 
-    slope = jax.jit(jax.jacfwd(rows))
-    solution = scipy.optimize.least_squares(
-        lambda q: np.asarray(rows(q)),
-        np.zeros(parameters.value.size),
-        jac=lambda q: np.asarray(slope(q)),  # pyright: ignore[reportArgumentType]
-        method="lm",
-        max_nfev=30,
-    )
-    return solution.x
+
+@eqx.filter_jit
+def _rows(cost, q):
+    def rows(q):
+        found = cost(q)
+        return found, found
+
+    slopes, found = jax.jacfwd(rows, has_aux=True)(q)
+    return found, slopes

@@ -7,12 +7,11 @@ holds without noise, `gap(x, u, y - n) = 0`, and is the measurement.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .predict import AbstractPrediction, step
+from .predict import AbstractPrediction
 
 
 class Signals(NamedTuple):
@@ -43,7 +42,7 @@ class Gains(NamedTuple):
 def _predict(prediction, s, n1, w, u, y0, y1, h):
     p = y0.shape[0]
     x, n0 = s[:-p], s[-p:]
-    return jnp.concatenate([step(prediction, x, w, u, (y0 - n0, y1 - n1), h), n1])
+    return jnp.concatenate([prediction.step(x, w, u, (y0 - n0, y1 - n1), h), n1])
 
 
 def _inverse_root(S: Float[Array, "g g"]) -> Float[Array, "g g"]:
@@ -71,7 +70,6 @@ def _measure(prediction, s, u, y, B):
     return scale @ gap(s), scale @ H
 
 
-@eqx.filter_jit
 def kalman(
     prediction: AbstractPrediction,
     x0: Float[Array, " n"],

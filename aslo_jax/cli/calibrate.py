@@ -1,0 +1,140 @@
+"""`aslo-jax calibrate`: parameters of a machine from a recorded log without truth."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from .._checks import positive
+from .._extras import require
+from ..logs import Log, read_log
+from ..machines import AbstractDescription, read_machine
+from ..machines.calibrated import calibrate_machine, rewritten, values_of
+from . import table
+from .estimate import _mapping
+from .outputs import refuse_overlap, staged
+
+
+def calibrate(
+    log: Annotated[Path, typer.Argument(help="The log: .csv, .parquet or .npz.")],
+    machine: Annotated[Path, typer.Option(help="The machine, a TOML file.")],
+    out: Annotated[Path, typer.Option(help="The machine with what was found: .toml.")],
+    plot: Annotated[
+        Path | None, typer.Option(help="A figure, before and after: .png, .pdf or .svg.")
+    ] = None,
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A key of [machine] to be found; repeatable. By default all that the "
+            "observer depends on."
+        ),
+    ] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=COLUMN",
+            help="What the log calls a column, for instance u_alpha=Ualpha; repeatable.",
+        ),
+    ] = None,
+    cutoff: Annotated[
+        float | None,
+        typer.Option(
+            help="Cutoff (rad/s) of the algebraic observer that starts the search."
+        ),
+    ] = None,
+    resolution: Annotated[
+        float,
+        typer.Option(
+            help="A parameter is determined where the half width of its interval is less "
+            "than this share of it."
+        ),
+    ] = 0.01,
+    max_gap: Annotated[
+        float | None,
+        typer.Option(help="Longest interval allowed (s); by default ten median ones."),
+    ] = None,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Neither table nor progress.")
+    ] = False,
+) -> None:
+    """Find the parameters of a machine from a LOG without ground truth.
+
+    The columns of the log are those of `aslo-jax estimate`; truth is not read. The
+    parameters start from the machine's file, a few per cent off or so. What the log does
+    not determine is named and stays as it is in the file. The new file differs from the
+    old one in the values that were found; comments and settings stay.
+    """
+    positive("--resolution", resolution)
+    if cutoff is not None:
+        positive("--cutoff", cutoff, "rad/s")
+    if out.suffix.lower() != ".toml":
+        raise ValueError(f"--out must be a .toml file, but is {out}.")
+    outputs = {"--out": out} | ({"--plot": plot} if plot else {})
+    refuse_overlap(outputs, {"the log": log, "the machine": machine})
+    if plot:
+        from .figure import check_figure_suffix
+
+        check_figure_suffix(plot)
+        require("matplotlib", "cli,plot")
+    description = read_machine(machine)
+    with staged(*outputs.values()) as parts:
+        columns = _mapping(column or [])
+        recorded = read_log(
+            log, description.signals, columns=columns, truth=False, max_gap=max_gap
+        )
+        found = calibrate_machine(
+            description,
+            recorded,
+            parameter or (),
+            cutoff=cutoff,
+            resolution=resolution,
+            progress=(lambda text: None)
+            if quiet
+            else (lambda text: typer.echo(text, err=True)),
+        )
+        values = values_of(description, found)
+        text = rewritten(machine.read_text(encoding="utf-8"), values)
+        parts[0].write_text(text, encoding="utf-8")
+        if plot:
+            _draw(parts[1], log.name, recorded, description, read_machine(parts[0]))
+    if quiet:
+        return
+    typer.echo(str(found))
+    typer.echo(
+        f"{found.reason[0].upper()}{found.reason[1:]} after {found.rounds} rounds; noise "
+        f"of the outputs {', '.join(f'{x:.2g}' for x in found.output_noise)}; correlation "
+        f"of prediction errors {found.correlation:.2g}, near 0 where the model is right"
+    )
+    unknown = [name for name, x in found.after.items() if not np.isfinite(x)]
+    if unknown:
+        typer.echo(f"unchanged in {out}: {', '.join(unknown)}")
+
+
+def _draw(
+    path: Path,
+    title: str,
+    log: Log,
+    before: AbstractDescription,
+    after: AbstractDescription,
+) -> None:
+    """How far the estimates are from their relation, before and after."""
+    figures = require("matplotlib.figure", "cli,plot")
+    found = {}
+    for label, machine in (("before", before), ("after", after)):
+        result = table.estimate_log(log, machine, machine.rates(log))
+        found[label] = machine.residuals(result.columns, log)
+    names = list(found["before"])
+    figure = figures.Figure(figsize=(9, 2.4 * len(names) + 0.8), layout="constrained")
+    axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    figure.suptitle(f"{before.title}: calibration from {title}")
+    for axis, name in zip(axes, names, strict=True):
+        for color, label in (("C3", "before"), ("C0", "after")):
+            values = found[label][name]
+            shown = np.where((values > 0) & np.isfinite(values), values, np.nan)
+            axis.semilogy(log.t, shown, color=color, linewidth=0.8, label=label)
+        axis.set(title=f"{name}: {before.residual}", ylabel="1")
+        axis.grid(alpha=0.3)
+        axis.legend(loc="upper right")
+    axes[-1].set_xlabel("time (s)")
+    figure.savefig(path, dpi=130)
