@@ -185,7 +185,10 @@ def study_keys(layout: Layout, seed: int) -> list[np.ndarray]:
 
 def sample_keys(keys: Sequence[np.ndarray], index: np.ndarray) -> list[jax.Array]:
     """Those of the samples `index`, shape (N, 2) each."""
-    return [jax.vmap(random.fold, (None, 0))(jnp.asarray(key), index) for key in keys]
+    return [
+        jax.vmap(random.fold, (None, 0))(jnp.asarray(key), jnp.asarray(index))
+        for key in keys
+    ]
 
 
 def started(experiment: Experiment) -> Experiment:

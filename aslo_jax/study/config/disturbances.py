@@ -22,7 +22,7 @@ SEVERAL = "a finite number that is not negative, or one for each entry of the si
 class AbstractDisturbanceTable(Table, abc.ABC):
     """A disturbance; `places` are where it may stand."""
 
-    kind: str
+    kind: Any
     places: ClassVar[tuple[str, ...]] = ("sensor", "input_sensor", "actuator")
 
     @abc.abstractmethod

@@ -25,7 +25,7 @@ def _clause(model: type[BaseModel], fault: Any, content: Any) -> str:
         return str(fault["ctx"]["error"])
     if kind == "extra_forbidden":
         return _unknown(path, owner)
-    if kind == "missing":
+    if kind == "missing" or field is None:
         return f"{what} is missing: it must be {_allowed(field)}"
     if kind == "union_tag_not_found":
         tag = fault["ctx"]["discriminator"].strip("'")

@@ -26,7 +26,6 @@ from ...plants import (
 from .signals import NoLoad, Numbers, WaveTable
 
 NonNegative = Annotated[float, Field(ge=0)]
-FRICTION = dict(unit="N m s/rad", default=0.0)
 
 
 class AbstractMachineTable(Table, abc.ABC):
@@ -35,7 +34,6 @@ class AbstractMachineTable(Table, abc.ABC):
     - `entries`: the names of what is estimated, and `units` of each.
     """
 
-    kind: str
     entries: ClassVar[tuple[str, ...]]
     units: ClassVar[tuple[str, ...]]
 
@@ -77,7 +75,7 @@ class MachineStart(Table):
 class PMSMMachine(PMSMTable, AbstractMachineTable):
     """A surface-mounted PMSM with a load."""
 
-    friction: NonNegative = key("viscous friction", **FRICTION)
+    friction: NonNegative = key("viscous friction", "N m s/rad", default=0.0)
     load: WaveTable = key("load torque (N m)", default=NoLoad)
     initial: MachineStart = key("the first state", default=MachineStart())
 
@@ -95,7 +93,7 @@ class PMSMMachine(PMSMTable, AbstractMachineTable):
 class WRIMMachine(WRIMTable, AbstractMachineTable):
     """A wound-rotor induction machine with a load."""
 
-    friction: NonNegative = key("viscous friction", **FRICTION)
+    friction: NonNegative = key("viscous friction", "N m s/rad", default=0.0)
     load: WaveTable = key("load torque (N m)", default=NoLoad)
     initial: MachineStart = key("the first state", default=MachineStart())
 

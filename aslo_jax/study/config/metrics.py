@@ -17,7 +17,7 @@ MOTORS = ("pmsm",)
 class AbstractMetricTable(Table, abc.ABC):
     """A metric; `machines` are the kinds that it is for, by default all."""
 
-    kind: str
+    kind: Any
     machines: ClassVar[tuple[str, ...] | None] = None
 
     @abc.abstractmethod

@@ -41,7 +41,7 @@ THRESHOLDS = {"robotic_leg": 1e-2, "ball_beam": 1e-2, "magnetic_bearing": 1e-4}
 class AbstractObserverTable(Table, abc.ABC):
     """An observer; `machines` are the kinds that it is for."""
 
-    kind: str
+    kind: Any
     machines: ClassVar[tuple[str, ...]]
 
     @abc.abstractmethod

@@ -23,7 +23,7 @@ class AbstractSpreadTable(Table, abc.ABC):
     """A parameter that varies."""
 
     where: Any
-    distribution: str
+    distribution: Any
     relative: bool = key("whether it multiplies what the experiment has", default=False)
 
     @abc.abstractmethod
