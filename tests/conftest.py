@@ -1,9 +1,22 @@
 """Every test runs in float64 with warnings as errors (pyproject.toml) and fixed seeds.
 
+Compilation takes most of the time of the tests, hence the settings of XLA below. They reach
+the processes that a test starts through the environment.
+
 `aslo_jax` must not be imported here: the checks of its annotations are installed first.
 """
 
+import os
+import shutil
+import tempfile
 from collections.abc import Iterator
+
+# Before JAX is imported. The programs of the tests are small and run once: LLVM on every
+# fusion by itself, through MLIR, and its higher levels cost more than they bring, 40 % of
+# the time of a test. Set it to nothing for the code that users run.
+os.environ.setdefault(
+    "XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1"
+)
 
 import hypothesis
 import jax
@@ -15,6 +28,22 @@ hypothesis.settings.register_profile(
     "fixed", derandomize=True, deadline=None, database=None
 )
 hypothesis.settings.load_profile("fixed")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Programs that were compiled for one module are loaded by the next, and by the
+    processes of its tests. Each worker has its own folder, since JAX writes to it without
+    a lock."""
+    folder = tempfile.mkdtemp(prefix="aslo_jax_compiled_")
+    config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
+    settings = {
+        "jax_compilation_cache_dir": folder,
+        "jax_persistent_cache_min_compile_time_secs": 0,
+        "jax_persistent_cache_min_entry_size_bytes": -1,
+    }
+    for name, value in settings.items():
+        jax.config.update(name, value)
+        os.environ[name.upper()] = str(value)
 
 
 @pytest.fixture(autouse=True, scope="module")
