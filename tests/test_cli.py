@@ -383,17 +383,3 @@ def test_paper_calls_the_experiments(tmp_path, capsys, monkeypatch):
     code, _, _ = run(capsys, "paper", "--section", 2, "--out", tmp_path)
     assert code == 0
     assert called == [(2, tmp_path)]
-
-
-def test_importing_the_package_needs_only_the_core():
-    import subprocess
-
-    script = (
-        "import sys, aslo_jax, aslo_jax.logs, aslo_jax.cli;"
-        "print([m for m in ('pyarrow', 'pydantic', 'typer', 'matplotlib', 'tqdm') "
-        "if m in sys.modules])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "[]"

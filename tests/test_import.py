@@ -1,5 +1,6 @@
 """What `import aslo_jax` needs and touches, each in a fresh interpreter."""
 
+import json
 import subprocess
 import sys
 from importlib.resources import files
@@ -13,43 +14,64 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
 
 
-def without(*modules: str) -> str:
-    """The line after which `modules` look as if they were not installed."""
-    return f"import sys; sys.modules.update(dict.fromkeys({modules!r}))\n"
+@pytest.fixture(scope="module")
+def imported() -> dict:
+    """What an interpreter has after the import, and whether it may still choose devices."""
+    done = run(
+        "import json, sys, aslo_jax, aslo_jax.logs, aslo_jax.cli, jax\n"
+        f"extras = sorted(set(sys.modules) & set({EXTRAS!r}))\n"
+        "double = jax.config.jax_enable_x64\n"
+        "jax.config.update('jax_num_cpu_devices', 3)\n"
+        "devices = jax.device_count('cpu')\n"
+        "print(json.dumps(dict(extras=extras, double=double, devices=devices)))"
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
 
 
 def test_core_needs_no_extra():
-    done = run(without(*EXTRAS) + "import aslo_jax; print(aslo_jax.__version__)")
+    code = f"import sys; sys.modules.update(dict.fromkeys({EXTRAS!r}))\n"
+    done = run(code + "import aslo_jax; print(aslo_jax.__version__)")
     assert done.returncode == 0, done.stderr
     assert done.stdout.count(".") == 2
 
 
-def test_extras_are_imported_when_they_are_used():
-    done = run(f"import sys, aslo_jax; print(set(sys.modules) & set({EXTRAS!r}))")
-    assert done.stdout.strip() == "set()", done.stderr
+def test_extras_are_imported_when_they_are_used(imported):
+    assert imported["extras"] == []
 
 
-def test_import_computes_nothing():
+def test_import_computes_nothing(imported):
     """JAX refuses to change the number of devices once a computation has run. Constants
     made on import would also have the precision from before `jax_enable_x64` is set."""
-    done = run(
-        "import aslo_jax, jax\n"
-        "before = jax.config.jax_enable_x64\n"
-        "jax.config.update('jax_num_cpu_devices', 3)\n"
-        "print(before, jax.device_count('cpu'))"
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["False", "3"]
+    assert imported["double"] is False
+    assert imported["devices"] == 3
 
 
-@pytest.mark.parametrize("package", ["typer", "pydantic", "pyarrow"])
-def test_command_line_names_the_missing_extra(package, tmp_path):
-    data = files("aslo_jax") / "data"
+WITHOUT = """
+import sys
+
+from aslo_jax.cli import main
+
+for package in {packages!r}:
+    sys.modules[package] = None  # as if it were not installed
+    try:
+        main({arguments!r})
+    except SystemExit as left:
+        print(left.code)
+    del sys.modules[package]
+    for name in [name for name in sys.modules if name.startswith("aslo_jax.cli.")]:
+        del sys.modules[name]
+"""
+
+
+def test_command_line_names_the_missing_extra(tmp_path):
+    data, packages = files("aslo_jax") / "data", ("typer", "pydantic", "pyarrow")
     machine, out = str(data / "motor.toml"), str(tmp_path / "estimate.csv")
     arguments = ["estimate", str(data / "pmsm_log.csv"), "--machine", machine, "--out", out]
-    done = run(
-        without(package) + f"from aslo_jax.cli import main; main({arguments!r})",
-    )
-    assert done.returncode == 1, done.stderr
-    assert f"`{package}` is not installed" in done.stderr
-    assert 'pip install "aslo_jax[cli]"' in done.stderr
+    done = run(WITHOUT.format(packages=packages, arguments=arguments))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["1", "1", "1"]
+    said = done.stderr.splitlines()
+    for package, line in zip(packages, said, strict=True):
+        assert f"`{package}` is not installed" in line
+        assert 'pip install "aslo_jax[cli]"' in line
