@@ -92,8 +92,13 @@ class Held(aslo.control.AbstractController):
 
 
 def accurate(system, controller, observers, start, ts, t1=None):
-    """The co-simulation at 1e-12."""
+    """The co-simulation at 1e-12, compiled as a whole."""
     t1 = float(ts[-1]) if t1 is None else t1
+    return _accurate(system, controller, observers, start, ts, t1)
+
+
+@eqx.filter_jit
+def _accurate(system, controller, observers, start, ts, t1):
     return aslo.simulate(
         system,
         controller,
@@ -103,4 +108,5 @@ def accurate(system, controller, observers, start, ts, t1=None):
         initial=start,
         solver=diffrax.Dopri8(),
         stepsize_controller=diffrax.PIDController(rtol=1e-12, atol=1e-14),
+        adjoint=diffrax.ForwardMode(),  # compiles faster
     )

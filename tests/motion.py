@@ -145,6 +145,7 @@ class PrescribedMechanism(eqx.Module):
         return (5.0 * u[0] + 8.0 * u[1] + 5.0 * u[2]) / 18.0
 
 
+@eqx.filter_jit
 def observe(
     observer: aslo.AbstractObserver,
     u: Callable,
@@ -157,7 +158,8 @@ def observe(
 
     States that start at zero are tiny at first and carry the estimate all the same, hence
     an absolute tolerance far below the relative one. The solver steps to each of `ts`,
-    since dense output is less accurate than the steps."""
+    since dense output is less accurate than the steps. Compiled as a whole: settings are
+    arguments, so that the next observer of the same kind is not compiled again."""
 
     def rate(t, states, args):
         del args
@@ -173,13 +175,14 @@ def observe(
         diffrax.ODETerm(rate),
         diffrax.Dopri8(),
         0.0,
-        float(ts[-1]),
+        ts[-1],
         None,
         observer.init(y(zero), u(zero)).states,
         saveat=diffrax.SaveAt(ts=ts, fn=record),
         stepsize_controller=diffrax.ClipStepSizeController(
             diffrax.PIDController(rtol=rtol, atol=atol), step_ts=ts
         ),
+        adjoint=diffrax.ForwardMode(),  # compiles faster
         max_steps=100_000,
     )
     return solution.ys
