@@ -46,6 +46,28 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ[name.upper()] = str(value)
 
 
+# The modules that take longest, in this order and before all others, so that the workers,
+# which take a module at a time (--dist=loadfile), end together.
+LONGEST = (
+    "test_battery",
+    "test_notebooks",
+    "test_paper_section4",
+    "test_docs",
+    "test_paper_section3",
+    "test_velocity",
+    "test_paper_section2",
+    "test_engines",
+    "test_experiment",
+    "test_peers",
+    "test_extended_kalman",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    rank = {name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: rank.get(item.path.stem, len(rank)))
+
+
 @pytest.fixture(autouse=True, scope="module")
 def forget_compiled_code() -> Iterator[None]:
     """A worker that keeps the compiled code of every test ends with more than 4 GB."""
