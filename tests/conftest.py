@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from importlib.metadata import version
 
 # Before JAX is imported. The programs of the tests are small and run once: LLVM on every
-# fusion by itself, through MLIR, and its higher levels cost more than they bring, a third of
-# the time of a test. Set it to nothing for the code that users run. XLA aborts on a flag
+# fusion by itself, through MLIR, and its higher levels cost more than they bring, a third
+# of the time of a test. Set it to nothing for the code that users run. XLA aborts on a flag
 # that it does not know; these two are known to every version from 0.6.1 to 0.10.
 if tuple(map(int, version("jaxlib").split(".")[:2])) <= (0, 10):
     os.environ.setdefault(

@@ -1,4 +1,4 @@
-"""A small study for the tests, in a module of its own so that other processes have it too."""
+"""A small study for the tests, in a module of its own that other processes can import."""
 
 import jax.numpy as jnp
 
