@@ -200,10 +200,11 @@ def front_chart(
     pyplot = require("matplotlib.pyplot", "plot")
     if axes is None:
         axes = pyplot.subplots(figsize=(6.5, 4.5), layout="constrained")[1]
-    axes.loglog(*front.costs.T, "o-", color="C0", label="training")
-    axes.loglog(*front.validation.T, "x--", color="C1", label="unseen samples")
+    axes.plot(*front.costs.T, "o-", color="C0", label="training")
+    axes.plot(*front.validation.T, "x--", color="C1", label="unseen samples")
     for weight, point in zip(front.weights, front.costs, strict=True):
         axes.annotate(f"w = {weight:.2g}", point, xytext=(6, 4), textcoords="offset points")
+    axes.margins(0.12)  # room for the weights
     axes.set(xlabel=names[0], ylabel=names[1])
     axes.legend()
     return axes
