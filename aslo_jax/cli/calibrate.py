@@ -11,9 +11,12 @@ from .._extras import require
 from ..logs import Log, read_log
 from ..machines import AbstractDescription, read_machine
 from ..machines.calibrated import calibrate_machine, rewritten, values_of
+from ..tune import Calibration
 from . import table
 from .estimate import _mapping
 from .outputs import refuse_overlap, staged
+
+DOUBTFUL = 0.3  # of a correlation
 
 
 def calibrate(
@@ -98,6 +101,7 @@ def calibrate(
         parts[0].write_text(text, encoding="utf-8")
         if plot:
             _draw(parts[1], log.name, recorded, description, read_machine(parts[0]))
+    _warn(found)
     if quiet:
         return
     typer.echo(str(found))
@@ -109,6 +113,16 @@ def calibrate(
     unknown = [name for name, x in found.after.items() if not np.isfinite(x)]
     if unknown:
         typer.echo(f"unchanged in {out}: {', '.join(unknown)}")
+
+
+def _warn(found: Calibration) -> None:
+    if abs(found.correlation) > DOUBTFUL:
+        typer.echo(
+            "aslo-jax: warning: the prediction errors are correlated "
+            f"({found.correlation:.2g}): the model, or its sampling, leaves more than the "
+            "noise does, and the intervals are too narrow.",
+            err=True,
+        )
 
 
 def _draw(

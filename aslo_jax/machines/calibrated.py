@@ -85,7 +85,8 @@ def values_of(machine: AbstractDescription, found: Calibration) -> dict[str, Any
             new[int(entry.rstrip("]"))] = found.after[name]
         else:
             new = np.asarray(found.after[name])
-        values[key] = new.tolist()
+        # Seven digits are more than any record determines.
+        values[key] = np.vectorize(lambda x: float(f"{x:.7g}"))(new).tolist()
     return values
 
 

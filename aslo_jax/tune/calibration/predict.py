@@ -188,6 +188,7 @@ def open_constant(relation: Relation) -> Array | None:
     is `None` for a relation that is complete."""
     while isinstance(relation, Corrected):
         relation = relation.relation
-    if hasattr(relation, "magnet_flux"):
-        return jnp.asarray(relation.magnet_flux)  # pyright: ignore[reportAttributeAccessIssue]
-    return jnp.zeros(()) if isinstance(relation, SalientFluxRelation) else None
+    if isinstance(relation, SalientFluxRelation):
+        return jnp.zeros(())
+    magnet_flux = getattr(relation, "magnet_flux", None)
+    return None if magnet_flux is None else jnp.asarray(magnet_flux)

@@ -70,7 +70,7 @@ class Problem(eqx.Module):
         k = len(self.parameters.names)
         return self.parameters.place(v[:k]), v[k : k + self.states], v[k + self.states :]
 
-    def prediction(self, v: Vector) -> tuple[AbstractPrediction, Vector]:
+    def prediction(self, v: Vector) -> tuple[AbstractPrediction, Any]:
         """What is predicted with the unknowns `v`, and from which states on."""
         model, x0, constants = self.split(v)
         return self.form.prediction(model, constants), x0
@@ -119,7 +119,7 @@ def problem_of(
             f"Argument `model` must have a relation, but got {type(model).__name__}; "
             f"{remedy}."
         )
-    return _related(parameters, t, u, y, cutoff, constant, scale)
+    return _related(parameters, relations, t, u, y, cutoff, constant, scale)
 
 
 def _mechanical(parameters, t, u, y, scale):
@@ -137,8 +137,7 @@ def _mechanical(parameters, t, u, y, scale):
     return Problem(parameters, form, signals, unknowns, 2 * n)
 
 
-def _related(parameters, t, u, y, cutoff, constant, scale):
-    relations = relations_of(parameters.model)
+def _related(parameters, relations, t, u, y, cutoff, constant, scale):
     terms = [jax.eval_shape(r, u[0], y[0]) for r in relations]
     rates = tuple(isinstance(term, Rate) for term in terms)
     opened = tuple(
@@ -178,7 +177,8 @@ def _related(parameters, t, u, y, cutoff, constant, scale):
     ):
         first.append(np.asarray(estimate.value)[k])
         if rate:
-            first.append(np.asarray(relation(u[k], y[k]).s)[None])
+            terms_there: Any = relation(u[k], y[k])
+            first.append(np.asarray(terms_there.s)[None])
         if is_open:
             gap = jax.vmap(lambda x, u, y, r=relation: residual(r(u, y), x)[0])
             gaps = np.asarray(gap(estimate.value, u, y))

@@ -85,7 +85,7 @@ def calibrate(
     factor = float(scipy.stats.norm.ppf(0.5 + 0.5 * confidence))
     v, basis = problem.unknowns, np.eye(k)
     flat, sizes = np.zeros((k, 0)), []
-    reason, done = "", 0
+    reason, done, known = "", 0, None
     while not reason:
         done, before = done + 1, v
         v, known = search.round(before, basis)
@@ -161,7 +161,7 @@ class _Search:
 
     def __init__(self, problem: Problem):
         self.problem = problem
-        y = problem.signals.y
+        y = np.asarray(problem.signals.y)
         drift = problem.drift()
         prediction, _ = problem.prediction(jnp.asarray(problem.unknowns))
         rms = np.sqrt(np.mean(drift**2, axis=0))[list(prediction.disturbed)]

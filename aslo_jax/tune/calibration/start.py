@@ -138,7 +138,8 @@ class _Relative(eqx.Module):
             # Relative, so that nothing is gained by a state that shrinks.
             size = jnp.sum(w * jnp.sum(slope**2, axis=1))
             if isinstance(terms, Quadratic):
-                Q = observer.relation(u[0], y[0]).Q
+                first: Any = observer.relation(u[0], y[0])
+                Q = first.Q
                 size = size / jnp.sqrt(jnp.sum(Q**2) / Q.shape[0])
             relative = (gap - is_open * jnp.sum(w * gap)) / size
             windows = (t[-1] - t[0]) / jnp.maximum(settling(observer), t[1] - t[0])
