@@ -85,8 +85,8 @@ def calibrate(
     factor = float(scipy.stats.norm.ppf(0.5 + 0.5 * confidence))
     v, basis = problem.unknowns, np.eye(k)
     flat, sizes = np.zeros((k, 0)), []
-    reason, done, known = "", 0, None
-    while not reason:
+    done = 0
+    while True:
         done, before = done + 1, v
         v, known = search.round(before, basis)
         # What wanders along flat directions need not settle. They are taken out when the
@@ -108,6 +108,7 @@ def calibrate(
         v = np.concatenate([basis @ (basis.T @ v[:k]), v[k:]])
         if basis.shape[1] == 0:
             reason = "nothing is determined"
+            break
         rounds = max(rounds, done + 2)
     return _result(
         search, v, known.deviation, flat, sizes, factor, confidence, done, reason
