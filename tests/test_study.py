@@ -46,7 +46,7 @@ def copied(stored, tmp_path):
 
 def assert_same(a: xarray.Dataset, b: xarray.Dataset) -> None:
     """Bit for bit, NaN and infinity included."""
-    assert list(a.data_vars) == list(b.data_vars)
+    assert set(a.data_vars) == set(b.data_vars)
     for name in (*a.data_vars, *a.coords):
         assert a[name].dims == b[name].dims
         assert a[name].attrs == b[name].attrs
