@@ -81,7 +81,11 @@ def test_ready_made_studies_step(name):
     def two(sample):
         experiment = sampler.make(sample)
         carry, first = experiment.init()
-        return carry, first, *experiment.advance(0, carry, experiment.prepare(carry))
+        return (
+            carry,
+            first,
+            *experiment.advance(jnp.asarray(0), carry, experiment.prepare(carry)),
+        )
 
     shapes = lambda tree: [(x.shape, x.dtype) for x in jax.tree.leaves(tree)]
     carry, first, after, record = jax.eval_shape(two, sample)
