@@ -371,6 +371,34 @@ def test_derivatives_under_jit_and_vmap():
     np.testing.assert_allclose(jacobians[2], jax.jacfwd(fused)(many[2]), rtol=1e-9)
 
 
+def test_logs_are_read_at_the_time_and_in_the_row_of_a_lane():
+    """A reference that all lanes share, and a row of a table for each of them, read where
+    they stand, between samples too."""
+    shared = RNG.normal(size=(90, 3))
+    rows = RNG.normal(size=(5, 90))
+
+    def make(row):
+        def torque(t):
+            k = jnp.floor(t / 1e-2 + 1e-6).astype(int)
+            return jnp.asarray(shared)[k] * jnp.asarray(rows)[row, k]
+
+        command = aslo.control.OpenLoop(torque)
+        return aslo.Experiment(Spinner(INERTIAS[0], INERTIAS[1]), command, {}, 1e-2)
+
+    lanes = jnp.array([4, 0, 2])
+    a, b = (
+        run_batch(make, lanes, 100, record=lambda r: (r.x, r.u), every=50, engine=e)
+        for e in ("fused", "scan")
+    )
+    np.testing.assert_allclose(a.record[0], b.record[0], rtol=1e-10)
+    for lane, row in enumerate([4, 0, 2]):
+        held = (
+            shared[50] * rows[row, 50],
+            shared[-1] * rows[row, -1],
+        )  # beyond the end: last
+        np.testing.assert_array_equal(a.record[1][lane, 1:], held)
+
+
 def test_single_precision():
     single = lambda tree: jax.tree.map(
         lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, tree

@@ -2,7 +2,7 @@
 
 from .loop import Loop
 
-CUT = {"eq", "ne", "lt", "le", "gt", "ge"}  # whose results have no derivative
+CUT = {"eq", "ne", "lt", "le", "gt", "ge", "table"}  # whose results have no derivative
 
 
 def depends(loop: Loop, sources: set[tuple[str, int]]) -> set[int]:

@@ -55,7 +55,9 @@ class _Kernel(Writer):
                 continue
             vector = self.varies[number][1]
             x = [self.operand(a, vector) for a in node.args]
-            if node.op in SHIFTS:
+            if node.op == "table":
+                result = self.lookup(node.data, x[0], vector)
+            elif node.op in SHIFTS:
                 amount = self.graph.value(node.args[1])
                 result = self.shift(node.op, node.dtype, x, vector, amount)
             else:
@@ -79,6 +81,7 @@ class _Kernel(Writer):
         wide = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
         return "\n".join(
             [
+                *(definition for _, definition in self.tables.values()),
                 f"define void @kernel({arguments}, ptr noalias %table) #0 {{",
                 *self.lines,
                 "}",

@@ -9,7 +9,8 @@ BOOL = np.dtype(bool)
 
 
 class Node(NamedTuple):
-    """One operation on scalars. `data`: the value of a `const`, the slot of an `input`."""
+    """One operation on scalars. `data`: the value of a `const`, the slot of an `input`, the
+    entries of a `table`."""
 
     op: str
     dtype: np.dtype
@@ -144,6 +145,14 @@ class Graph:
             return self.const(np.asarray(value).view(dtype), dtype)
         return self._number(("bitcast", dtype, (x,)), Node("bitcast", dtype, (x,)))
 
+    def table(self, values: np.ndarray, index: int) -> int:
+        """The entry of a table of constants, shape `(n,)`, at a whole number in [0, n)."""
+        place = self.value(index)
+        if place is not None:
+            return self.const(values[int(place)], values.dtype)
+        key = ("table", values.dtype, values.tobytes(), (index,))
+        return self._number(key, Node("table", values.dtype, (index,), values))
+
     def again(self, number: int, args: tuple[int, ...]) -> int:
         """The operation of a node on other arguments, of the same types."""
         node = self.nodes[number]
@@ -153,6 +162,8 @@ class Graph:
             return self.select(*args)
         if node.op == "fma":
             return self.fma(*args)
+        if node.op == "table":
+            return self.table(node.data, *args)
         if node.op in ("convert", "bitcast"):
             return getattr(self, node.op)(args[0], node.dtype)
         return self.op(node.op, *args)

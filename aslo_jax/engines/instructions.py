@@ -40,6 +40,7 @@ class Writer:
         self.width = width
         self.lines: list[str] = []
         self.declarations: set[str] = set()
+        self.tables: dict[bytes, tuple[str, str]] = {}  # names and definitions
         self._count = 0
 
     def label(self, name: str) -> None:
@@ -137,6 +138,31 @@ class Writer:
         given = [f"{kind} {x}" for x in arguments] + extra
         self.declarations.add(f"declare {kind} @llvm.{name}.{suffix}({', '.join(types)})")
         return self.define(f"call {kind} @llvm.{name}.{suffix}({', '.join(given)})")
+
+    def lookup(self, values: np.ndarray, index: str, vector: bool) -> str:
+        """The entry of a table of constants at `index` (int64), lane by lane."""
+        stored = values.astype(np.uint8) if values.dtype == np.bool_ else values
+        kind = self.type(stored.dtype, False)
+        key = kind.encode() + stored.tobytes()
+        if key not in self.tables:
+            name, whole = f"@table{len(self.tables)}", f"[{len(stored)} x {kind}]"
+            entries = ", ".join(f"{kind} {_literal(x)}" for x in stored)
+            self.tables[key] = name, f"{name} = private constant {whole} [{entries}]"
+        name, _ = self.tables[key]
+
+        def entry(place: str) -> str:
+            pointer = self.define(f"getelementptr {kind}, ptr {name}, i64 {place}")
+            return self.load(pointer, values.dtype, False)
+
+        if not vector:
+            return entry(index)
+        places, inner = self.type(np.int64, True), self.type(values.dtype, False)
+        wide, found = self.type(values.dtype, True), "poison"
+        for lane in range(self.width):
+            place = self.define(f"extractelement {places} {index}, i64 {lane}")
+            one = entry(place)
+            found = self.define(f"insertelement {wide} {found}, {inner} {one}, i64 {lane}")
+        return found
 
     # -- memory --------------------------------------------------------------------------
 

@@ -109,7 +109,13 @@ def _selected(graph, x, indices, sizes):
     ranges = [range(n - s + 1) for n, s in zip(x.shape, sizes, strict=True)]
     places = list(itertools.product(*ranges))
     if len(places) > 64:
-        raise Unsupported(f"its index varies over {len(places)} places, more than 64")
+        table = known(graph, x)
+        if table is None:
+            raise Unsupported(
+                f"its index varies over {len(places)} places, more than 64, of an array "
+                "that is not constant"
+            )
+        return _read(graph, table, indices, sizes)
     out = None
     for place in reversed(places):
         piece = x[tuple(slice(a, a + s) for a, s in zip(place, sizes, strict=True))]
@@ -124,6 +130,27 @@ def _selected(graph, x, indices, sizes):
                 op = "le" if at == 0 else "eq"
                 here = graph.op("and", here, graph.op(op, number, bound))
         out = select(graph, here, piece, out)
+    return out
+
+
+def _read(graph, table, indices, sizes):
+    """A slice of constants at an index that varies: a log, a reference."""
+    number = graph.const(0, np.int64)
+    strides = np.cumprod([1, *table.shape[:0:-1]])[::-1]
+    for index, count, size, stride in zip(
+        indices, table.shape, sizes, strides, strict=True
+    ):
+        start = graph.convert(int(np.asarray(index).reshape(())), np.int64)
+        for op, bound in (("lt", 0), ("gt", count - size)):
+            limit = graph.const(bound, np.int64)
+            start = graph.select(graph.op(op, start, limit), limit, start)
+        start = graph.op("mul", start, graph.const(int(stride), np.int64))
+        number = graph.op("add", number, start)
+    out = np.empty(sizes, np.int64)
+    for index in np.ndindex(out.shape):
+        further = graph.const(int(np.dot(index, strides)), np.int64)
+        place = graph.op("add", number, further)
+        out[index] = graph.table(table.reshape(-1), place)
     return out
 
 
