@@ -98,7 +98,7 @@ class _Kernel(Writer):
         """Once: pointers, and what varies over neither time nor lanes."""
         self.label("entry")
         self.pointers: dict[Slot, str] = {}
-        for k, slot in enumerate(self.loop.slots()):
+        for k, slot in enumerate(self.loop.slots):
             place = self.define(f"getelementptr ptr, ptr %table, i64 {k}")
             self.pointers[slot] = self.define(f"load ptr, ptr {place}")
         self.buffers = [

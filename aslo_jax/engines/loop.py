@@ -1,6 +1,7 @@
 """A loop over time as nodes of a graph."""
 
 import dataclasses
+import functools
 
 from .graph import Graph
 
@@ -39,6 +40,7 @@ class Loop:
         roots = [*self.begin, *self.carry, *self.record, *self.first, *self.final]
         return self.graph.reachable(roots)
 
+    @functools.cached_property
     def slots(self) -> list[Slot]:
         """The pointers that a kernel takes, in their order: every input but the step and
         the carry, then the records and what is final."""

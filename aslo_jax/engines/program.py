@@ -183,7 +183,7 @@ class Program:
 
 def _pointers(loop: Loop, columns: dict[Any, np.ndarray]) -> ctypes.Array:
     """The table that a kernel takes."""
-    slots = loop.slots()
+    slots = loop.slots
     addresses = (columns[slot].ctypes.data for slot in slots)
     return (ctypes.c_void_p * max(len(slots), 1))(*addresses)
 
