@@ -101,7 +101,7 @@ def rewritten(text: str, values: Mapping[str, Any]) -> str:
         if header := re.match(r"\s*\[\s*([\w.-]+)\s*\]", line):
             table = header[1]
             continue
-        found = re.match(r"(\s*([\w-]+)\s*=\s*)(\[[^\]#]*\]|[^#\s]+)(\s*(?:#.*)?)$", line)
+        found = re.match(r"(\s*([\w-]+)\s*=\s*)(\[[^\]#]*\]|[^#\s\[]+)(\s*(?:#.*)?)$", line)
         if table == "machine" and found and found[2] in values:
             new = _toml(values[found[2]])
             # Comments stay in their columns where there is room.
