@@ -143,6 +143,9 @@ def log(name):
     if "flux" in name or name in ("side by side", "staged"):
         u = jax.vmap(MOTOR.mean_voltage)(t, t + DT)
         return u, jax.vmap(MOTOR.current)(t), jax.vmap(MOTOR.flux)(t)
+    if name == "joined":
+        u, y, flux = log("flux")
+        return u, y, jnp.concatenate([flux, flux], axis=1)
     if name == "magnet":
         u, y, flux = log("flux")
         return u, y, flux - MOTOR.inductance * y
