@@ -18,8 +18,8 @@ from .plan import Batch as Batch, Plan
 
 
 class Runner:
-    """A batch that is traced and compiled once, when it is made, and then called with any
-    number of samples, chunk by chunk for instance.
+    """A batch that is traced once, when it is made, compiled once, when it is first called,
+    and called with any number of samples, chunk by chunk for instance.
 
     - `make(sample)`: the experiment of one sample;
     - `like`: one sample, a pytree of arrays or of their shapes and types;
@@ -30,7 +30,8 @@ class Runner:
 
     Called with samples, every leaf with a leading axis of length N, it returns a
     [`Batch`][]. `engine` tells which one it is, `shapes` what one sample gives: the leaves
-    of a batch without that axis and, in the record, without that of time.
+    of a batch without that axis and, in the record, without that of time. Sent to another
+    process, it is not traced again, but compiled there.
 
     **Raises:** as [`run_batch`][].
     """
@@ -64,15 +65,22 @@ class Runner:
         self.steps, self.every, self.block = steps, every, block
         self._plan = Plan(make, dict(metrics or {}), record)
         like = jax.tree.map(_shape, like)
-        state, kept = jax.eval_shape(self._plan.first, like)
-        self.shapes = Batch(jax.eval_shape(self._plan.results, state), kept)
-        self._fused = None if engine == "scan" else self._compiled(like, threads, engine)
+        self._fused = None if engine == "scan" else self._traced(like, threads, engine)
         self.engine = "scan" if self._fused is None else "fused"
+        if self._fused is None:
+            state, kept = jax.eval_shape(self._plan.first, like)
+            self.shapes = Batch(jax.eval_shape(self._plan.results, state), kept)
+        else:
+            self.shapes = Batch(self._fused.program.final, self._fused.program.record)
 
-    def _compiled(self, like: PyTree, threads: int | None, engine: str) -> Fused | None:
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what it was traced from, whose classes may exist in this process only."""
+        return vars(self) | ({} if self._fused is None else {"_plan": None})
+
+    def _traced(self, like: PyTree, threads: int | None, engine: str) -> Fused | None:
         try:
             fused = Fused(self._plan, like, self.steps, self.every, threads)
-            fused.program  # noqa: B018  compiled now, and refused now if it cannot be
+            fused.program  # noqa: B018  traced now, and refused now if it cannot be compiled
             return fused
         except (NotFusible, ImportError) as error:
             if engine == "fused":

@@ -27,11 +27,16 @@ class Fused:
         self.plan, self.steps, self.every, self.threads = plan, steps, every, threads
         self.sample, self.tree = jax.tree.flatten(like)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What runs; derivatives are for the process where it was made."""
+        self.program  # noqa: B018  traced here
+        return vars(self) | {"plan": None}
+
     def __call__(self, samples: PyTree) -> Batch:
         leaves = jax.tree.leaves(samples)
         if is_concrete(*leaves):
             return jax.tree.map(jnp.asarray, self._run(leaves))
-        self.program  # noqa: B018  compiled here, since a callback should leave JAX alone
+        self.program  # noqa: B018  traced here, since a callback should leave JAX alone
         return self._transformed(leaves)
 
     def made(self, leaves: list[Any]) -> PyTree:
@@ -41,7 +46,7 @@ class Fused:
 
     @functools.cached_property
     def program(self) -> Program:
-        """The loop, compiled when it is first asked for."""
+        """The loop, traced when it is first asked for, and compiled when first called."""
 
         def advance(k, state, inputs):
             sample = self.made(inputs["lane"])

@@ -4,6 +4,7 @@ import ctypes
 import functools
 import itertools
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -21,6 +22,7 @@ from .reduce import reduced
 from .timetable import timetable
 
 KINDS = ("shared", "lane", "log", "lane log")
+_COMPILING = threading.Lock()  # of several threads one compiles, and the others wait
 
 
 class Bodies(NamedTuple):
@@ -97,16 +99,37 @@ def _step() -> jax.ShapeDtypeStruct:
 
 
 class Program:
-    """A loop, compiled: `record` and `final` are trees of shapes and types of what the
-    nodes of the loop mean."""
+    """A loop, compiled when it is first called: `record` and `final` are trees of shapes
+    and types of what the nodes of the loop mean.
+
+    It can be sent to other processes, which compile it for themselves."""
 
     def __init__(self, loop: Loop, record: PyTree, final: PyTree, width: int):
         self.raw = loop
-        self.loop, self.table = timetable(reduced(loop))
         self.record, self.final = record, final
         self.width = width
-        self._function = _compiled(emit(self.loop, width))
-        self._tabulate = None if self.table is None else _compiled(emit(self.table, width))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without machine code, and what is quickly made again."""
+        return {k: v for k, v in vars(self).items() if k not in ("_parts", "_kernels")}
+
+    @functools.cached_property
+    def _parts(self) -> tuple[Loop, Loop | None]:
+        return timetable(reduced(self.raw))
+
+    @functools.cached_property
+    def _kernels(self) -> tuple[Callable[..., None], Callable[..., None] | None]:
+        loop, table = self._parts
+        tabulate = None if table is None else _compiled(emit(table, self.width))
+        return _compiled(emit(loop, self.width)), tabulate
+
+    @property
+    def loop(self) -> Loop:
+        return self._parts[0]
+
+    @property
+    def table(self) -> Loop | None:
+        return self._parts[1]
 
     @classmethod
     def of(cls, bodies: Bodies, inputs: dict[str, PyTree], width: int) -> "Program":
@@ -146,12 +169,14 @@ class Program:
     ) -> tuple[PyTree, PyTree]:
         """The records and what is final, NumPy arrays with a leading axis of `lanes`;
         records have a second one of `steps // every`, and one more for the first."""
+        with _COMPILING:
+            function, tabulate = self._kernels
         padded = -(-lanes // self.width) * self.width
         columns: dict[Any, np.ndarray] = {}
         for kind, tree in inputs.items():
             made = _COLUMNS[kind](tree, padded)
             columns |= {(kind, i): c for i, c in enumerate(made)}
-        columns |= self._times(columns, steps)
+        columns |= self._times(tabulate, columns, steps)
         rows = steps // every + (1 if self.loop.first else 0)
         dtype = lambda number: _stored(self.loop.graph.dtype(number))
         record = [np.empty((rows, padded), dtype(n)) for n in self.loop.record]
@@ -162,22 +187,27 @@ class Program:
         address = ctypes.addressof(table)
 
         def work(span: tuple[int, int]) -> None:
-            self._function(*span, padded, steps, every, address)
+            function(*span, padded, steps, every, address)
 
         run_in_threads(work, _spans(padded, self.width, threads), threads)
         return _gathered(record, self.record, lanes), _gathered(final, self.final, lanes)
 
-    def _times(self, columns: dict[Any, np.ndarray], steps: int) -> dict[Any, np.ndarray]:
+    def _times(
+        self,
+        tabulate: Callable[..., None] | None,
+        columns: dict[Any, np.ndarray],
+        steps: int,
+    ) -> dict[Any, np.ndarray]:
         """The columns of the timetable."""
         table = self.table
-        if table is None or self._tabulate is None:
+        if table is None or tabulate is None:
             return {}
         padded = -(-steps // self.width) * self.width
         found = [np.empty(padded, _stored(table.graph.dtype(n))) for n in table.final]
         given = columns | {("lane", 0): np.arange(padded)}
         given |= {("final", i): c for i, c in enumerate(found)}
         pointers = _pointers(table, given)
-        self._tabulate(0, padded, padded, 0, 1, ctypes.addressof(pointers))
+        tabulate(0, padded, padded, 0, 1, ctypes.addressof(pointers))
         return {("time", i): c for i, c in enumerate(found)}
 
 

@@ -3,15 +3,17 @@
 import functools
 import threading
 import uuid
+import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from .._extras import require
-from .problem import Problem, Study
+from .problem import Study, versions
 from .store import Data, Store
 
 AHEAD = 3  # tasks in flight for each thread of the cluster; the rest wait here
@@ -19,25 +21,47 @@ RETRIES = 5  # of a chunk whose task failed
 _LOCK = threading.Lock()
 
 
+def start_workers(client: Any) -> list[Any]:
+    """Let every worker of a `dask.distributed.Client` import what it needs, which takes
+    seconds, while the client traces the study. The futures are to be kept meanwhile."""
+    return [
+        client.submit(_prepared, _wide(), workers=[address], pure=False)
+        for address in client.nthreads()
+    ]
+
+
+def _prepared(wide: bool) -> None:
+    jax.config.update("jax_enable_x64", wide)
+    jnp.zeros(()).block_until_ready()
+    for package in ("zarr", "llvmlite.binding"):
+        with suppress(ModuleNotFoundError):  # where it is needed, that is said later
+            require(package, "study")
+
+
+def _wide() -> bool:
+    return bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]
+
+
 def run_on_cluster(
-    client: Any, problem: Problem, engine: str, store: Path | None, chunks: Iterable[int]
+    client: Any, study: Study, store: Path | None, chunks: Iterable[int]
 ) -> Iterator[tuple[int, Data | None]]:
-    """Run chunks on the workers of a `dask.distributed.Client`, in any order.
+    """Run chunks on the workers of a `dask.distributed.Client`, in any order. The study is
+    traced here, and compiled once by each of them.
 
     A task computes a chunk and writes it to its own region of the `store`, which every
     worker must reach under the same path; without one it returns the results. Doing a chunk
     twice is harmless, so that Dask may run it again when a worker dies."""
     distributed = require("dask.distributed", "study")
-    pickled = require("cloudpickle", "study").dumps(problem)
-    wide = bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]
+    # With every task, so that it can run on any worker; small, some 100 kB.
+    packed = zlib.compress(require("cloudpickle", "study").dumps(study), 1)
     waiting, run = iter(chunks), uuid.uuid4().hex
 
     def submit(number: int) -> Any:
         return client.submit(
             compute,
-            pickled,
-            wide,
-            engine,
+            packed,
+            _wide(),
+            versions(),
             None if store is None else str(store),
             number,
             key=f"aslo_jax-{run}-{number}",
@@ -59,13 +83,18 @@ def run_on_cluster(
 
 
 def compute(
-    pickled: bytes, wide: bool, engine: str, store: str | None, number: int
+    packed: bytes, wide: bool, client: dict[str, str], store: str | None, number: int
 ) -> tuple[int, Data | None]:
     """One chunk, on a worker."""
+    if client != versions():
+        raise RuntimeError(
+            f"The client runs {client}, but this worker {versions()}; install the same "
+            "packages on both."
+        )
     # A worker is a process of its own, and has to compute in the precision of the client.
     jax.config.update("jax_enable_x64", wide)
-    with _LOCK:  # so that threads of one worker compile it once
-        study = _study(pickled, engine)
+    with _LOCK:  # so that threads of one worker have one
+        study = _study(packed)
     data = study.chunk(number)
     if store is None:
         return number, data
@@ -74,16 +103,10 @@ def compute(
 
 
 @functools.lru_cache(maxsize=2)
-def _study(pickled: bytes, engine: str) -> Study:
-    """Compiled once in each worker. A worker's cluster decides how many threads run."""
-    problem = require("cloudpickle", "study").loads(pickled)
-    study = Study(problem, threads=1)
-    if study.runner.engine != engine:
-        raise RuntimeError(
-            f'The client runs with engine="{engine}", but this worker with '
-            f'"{study.runner.engine}"; install the same packages on both.'
-        )
-    return study
+def _study(packed: bytes) -> Study:
+    """Kept between chunks, and its machine code with it. Its engine runs one thread: how
+    many of them run is decided by the cluster."""
+    return require("cloudpickle", "study").loads(zlib.decompress(packed))
 
 
 @contextmanager
@@ -95,7 +118,7 @@ def local_cluster(workers: int) -> Iterator[Any]:
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=None,
+            dashboard_address=":0",  # any free port,
             memory_limit=0,
         ) as cluster,
         distributed.Client(cluster) as client,

@@ -32,12 +32,18 @@ class Layout:
     """
 
     def __init__(self, experiment: Experiment):
+        self.experiment = experiment
         self.default_start = experiment.initial is None
         if self.default_start:
             experiment = started(experiment)
         pairs, self.tree = jax.tree_util.tree_flatten_with_path(experiment)
         self.paths = [".".join(_name(key) for key in path) for path, _ in pairs]
         self.leaves = [leaf for _, leaf in pairs]
+
+    def __reduce__(self):
+        # Made again in another process: the structure of a module is not to be sent, since
+        # Equinox keeps marks in it that are told by their identity.
+        return Layout, (self.experiment,)
 
     def real(self) -> list[str]:
         """The paths of the leaves that can be spread."""
@@ -178,17 +184,19 @@ def study_keys(layout: Layout, seed: int) -> list[np.ndarray]:
     parts stay independent, and of the study's `seed`."""
     word = random.key(seed)
     return [
-        np.stack(random.threefry(jnp.asarray(layout.leaves[i]), word[0], word[1]))
+        np.stack(_threefry(jnp.asarray(layout.leaves[i]), word[0], word[1]))
         for i in layout.random_keys()
     ]
 
 
 def sample_keys(keys: Sequence[np.ndarray], index: np.ndarray) -> list[jax.Array]:
     """Those of the samples `index`, shape (N, 2) each."""
-    return [
-        jax.vmap(random.fold, (None, 0))(jnp.asarray(key), jnp.asarray(index))
-        for key in keys
-    ]
+    return [_folded(jnp.asarray(key), jnp.asarray(index)) for key in keys]
+
+
+# Compiled as a whole: one operation after the other takes half a second to compile.
+_threefry = jax.jit(random.threefry)
+_folded = jax.jit(jax.vmap(random.fold, (None, 0)))
 
 
 def started(experiment: Experiment) -> Experiment:

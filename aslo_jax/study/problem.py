@@ -82,7 +82,8 @@ class ErrorNorms(eqx.Module):
 
 
 class Study:
-    """A problem, compiled: `schema` of its results, and [`Study.chunk`][] of them."""
+    """A problem, traced: `schema` of its results, and [`Study.chunk`][] of them. It can be
+    sent to other processes; what is not compiled yet is compiled there."""
 
     def __init__(self, problem: Problem, threads: int | None = None):
         self.problem = problem
@@ -96,10 +97,9 @@ class Study:
         }
         scale = None if problem.scale is None else jnp.asarray(problem.scale)
         norms = ErrorNorms(tuple(problem.observers), scale)
-        sample = self.sampler(np.zeros(1, int), np.ones((1, len(self.sampler.names))))
         self.runner = Runner(
             self.sampler.make,
-            jax.tree.map(lambda x: x[0], sample),
+            self.sampler.like(),
             problem.steps,
             metrics=metrics,
             record=None if problem.every is None else norms,
@@ -134,7 +134,7 @@ class Study:
 
     def _schema(self) -> Schema:
         problem, variables = self.problem, {}
-        width = jax.eval_shape(lambda: problem.experiment.init()[1].hidden).shape[0]
+        width = jax.eval_shape(lambda: _hidden(problem.experiment)).shape[0]
         observers = problem.observers
         coordinates: dict[str, np.ndarray] = {"observer": np.array(observers)}
         described: dict[str, dict[str, str]] = {}
@@ -199,8 +199,15 @@ class Study:
             "engine": self.runner.engine,
             "precision": str(jnp.zeros(()).dtype),
             "chunk": problem.chunk,
-            "versions": json.dumps(_versions()),
+            "versions": json.dumps(versions()),
         }
+
+
+def _hidden(experiment: Experiment) -> Float[Array, " n"]:
+    """What is estimated, at the start."""
+    start = experiment.initial
+    start = experiment.plant.initial() if start is None else start
+    return experiment.plant.hidden(jax.tree.map(jnp.asarray, start))
 
 
 def _made(make: MakeMetric, observer: str) -> AbstractMetric:
@@ -209,7 +216,8 @@ def _made(make: MakeMetric, observer: str) -> AbstractMetric:
     return make(observer)
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Of the packages that decide the bits of a study."""
     found = {}
     for package in ("aslo_jax", "jax", "jaxlib", "equinox", "numpy", "scipy", "llvmlite"):
         try:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from .._extras import require
 from ..experiment import Experiment
-from .cluster import run_on_cluster
+from .cluster import run_on_cluster, start_workers
 from .distributions import AbstractDistribution
 from .problem import BLOCK, CHUNK, MakeMetric, Problem, Study
 from .spread import Parameter, Spread
@@ -90,6 +90,7 @@ def run(
         units=dict(units or {}),
         entries=entries,
     )
+    starting = [] if client is None else start_workers(client)
     study = Study(problem, threads if client is None else 1)
     target = None if store is None else open_store(Path(store), study.schema, resume)
     whole = None if store is not None else _allocated(study.schema)
@@ -98,7 +99,8 @@ def run(
         todo = [int(k) for k in np.flatnonzero(~done)]
         if client is not None:
             path = None if target is None else target.path.resolve()
-            found = run_on_cluster(client, problem, study.runner.engine, path, todo)
+            del starting
+            found = run_on_cluster(client, study, path, todo)
         else:
             found = ((k, study.chunk(k)) for k in todo)
         for number, data in found:

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -95,6 +96,10 @@ class Sampler:
             experiment, layout, tuple(places), tuple(relative), tuple(layout.random_keys())
         )
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Sent to other processes, it draws and no more: whoever runs has `make`."""
+        return {k: v for k, v in vars(self).items() if k != "make"}
+
     def values(self, start: int, stop: int) -> Float[np.ndarray, "N d"]:
         """The numbers drawn for the samples from `start` to before `stop`."""
         u, done, first = self.design(start, stop), [], 0
@@ -103,6 +108,16 @@ class Sampler:
             done.append(parameter.distribution.quantiles(u[:, first:last]))
             first = last
         return np.concatenate([*done, np.empty((stop - start, 0))], axis=1)
+
+    def like(self) -> dict[str, Any]:
+        """The shapes and types of one sample."""
+        shape = lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype)
+        number = shape(jnp.zeros(()))
+        return {
+            "index": shape(jnp.asarray(0)),
+            "values": [number] * len(self.names),
+            "keys": [shape(key) for key in self.keys],
+        }
 
     def __call__(self, index: np.ndarray, values: np.ndarray) -> dict[str, Any]:
         """The samples of these indices and numbers, for `make`."""

@@ -7,8 +7,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.optimize
-import scipy.stats
 from jaxtyping import ArrayLike, Float
 
 from .information import Information, information
@@ -78,6 +76,9 @@ def calibrate(
     Source: prediction errors, Ljung, "System Identification", 1999, chapters 7 and 9;
     theory, section 9.
     """
+    import scipy.linalg  # heavy to import, and needed for a calibration only
+    import scipy.stats
+
     t, u, y = (np.asarray(signal, float) for signal in (t, u, y))
     problem = problem_of(chosen(model, where), t, u, y, cutoff, constant, scale or {})
     search = _Search(problem)
@@ -173,6 +174,8 @@ class _Search:
 
     def round(self, v: Float[np.ndarray, " v"], basis: Float[np.ndarray, "k r"]) -> _Round:
         """One round from the unknowns `v`, along the directions `basis`."""
+        from scipy.optimize import least_squares  # heavy to import
+
         k, r = basis.shape
         gains = self._gains(v)
         prior = np.eye(r, r + v.size - k) / PRIOR
@@ -189,7 +192,7 @@ class _Search:
             )
 
         rows, slopes = paired(evaluated)
-        solution = scipy.optimize.least_squares(
+        solution = least_squares(
             rows,
             np.concatenate([basis.T @ v[:k], v[k:]]),
             jac=slopes,  # pyright: ignore[reportArgumentType]
@@ -204,6 +207,7 @@ class _Search:
 
     def _gains(self, v: Float[np.ndarray, " v"]) -> Gains:
         """Those of the noise levels of greatest likelihood."""
+        from scipy.optimize import minimize  # heavy to import
 
         def evaluated(levels):
             return _likelihood(self.problem, v, levels, self.drift, self.reference)
@@ -212,7 +216,7 @@ class _Search:
             value, slope, _ = evaluated(levels)
             return float(value), np.asarray(slope)
 
-        found = scipy.optimize.minimize(
+        found = minimize(
             cost,
             self.levels,
             jac=True,

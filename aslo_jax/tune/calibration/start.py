@@ -9,7 +9,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.optimize
 from jaxtyping import Array, Float
 
 from ..._checks import real
@@ -88,9 +87,11 @@ def first_guess(
     motor, for which the weighted relative variance of `|flux - L i|^2` is least.
 
     Rate relations of one unknown hold by construction: they start where they are."""
+    from scipy.optimize import least_squares  # heavy to import
+
     cost = _Relative(parameters, observers, jnp.asarray(t), signals, open_constants)
     rows, slopes = paired(lambda q: _rows(cost, q))
-    solution = scipy.optimize.least_squares(
+    solution = least_squares(
         rows,
         np.zeros(parameters.value.size),
         jac=slopes,  # pyright: ignore[reportArgumentType]
