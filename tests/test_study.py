@@ -21,7 +21,8 @@ import aslo_jax as aslo
 from aslo_jax.metrics import RMSError
 from aslo_jax.study import open_study, run
 from aslo_jax.study.cluster import local_cluster
-from aslo_jax.study.problem import BLOCK
+from aslo_jax.study.problem import BLOCK, Problem, Study
+from aslo_jax.study.store import open_store
 
 HERE = Path(__file__).parent
 
@@ -38,6 +39,24 @@ def stored(tmp_path_factory):
     path = tmp_path_factory.mktemp("study") / "run.zarr"
     studies.run_study(store=path, chunk=1, threads=1)
     return path
+
+
+@pytest.fixture(scope="module")
+def schema():
+    """That of the store: a study is traced once for the tests that need no more."""
+    settings = studies.settings()
+    problem = Problem(
+        studies.experiment(),
+        studies.SPREAD,
+        engine="auto",
+        chunk=BLOCK,
+        scale=None,
+        configuration=None,
+        units={},
+        entries=None,
+        **settings,
+    )
+    return Study(problem).schema
 
 
 def copied(stored, tmp_path):
@@ -267,10 +286,20 @@ def _foreign(path):
         (_versions, "another `versions`.*`jax` was 0.0.1"),
     ],
 )
-def test_damaged_and_foreign_stores_are_refused(stored, tmp_path, damage, message):
+def test_damaged_and_foreign_stores_are_refused(stored, tmp_path, schema, damage, message):
     path = copied(stored, tmp_path)
+    assert open_store(path, schema, resume=True).done().all()
     damage(path)
-    refused(path, message)
+    before = snapshot(path)
+    with pytest.raises(ValueError, match=message):
+        open_store(path, schema, resume=True)
+    assert snapshot(path) == before
+
+
+def test_a_damaged_store_is_refused_by_a_study(stored, tmp_path):
+    path = copied(stored, tmp_path)
+    _flip(path)
+    refused(path, "damaged study: chunk 2")
 
 
 def test_opening_what_is_no_study(tmp_path):

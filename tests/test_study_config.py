@@ -130,7 +130,7 @@ def test_signals_of_several_entries():
 CHANGES = {
     "a key that is missing": (
         {"interval": None},
-        "`interval`, between samples in time (s), is missing: it must be a positive finitr",
+        "`interval`, between samples in time (s), is missing: it must be a positive finite",
     ),
     "a table that is missing": ({"observers": None}, "`observers`, the observers, is miss"),
     "an unknown key": (

@@ -15,7 +15,7 @@ from .cluster import run_on_cluster, start_workers
 from .distributions import AbstractDistribution
 from .problem import BLOCK, CHUNK, MakeMetric, Problem, Study
 from .spread import Parameter, Spread
-from .store import Data, Schema, open_store, stored_attributes
+from .store import Data, Schema, open_store, refuse_taken, stored_attributes
 
 if TYPE_CHECKING:
     import xarray
@@ -74,6 +74,8 @@ def run(
     **Raises:** `ValueError` for arguments that do not fit, and for a store that is damaged,
     foreign, or of other settings; it is left as it is.
     """
+    if store is not None and not resume:
+        refuse_taken(Path(store))  # before anything that takes time
     spread = spread if isinstance(spread, Spread) else Spread(spread)
     problem = Problem(
         experiment=experiment,

@@ -106,12 +106,9 @@ def open_store(path: Path, schema: Schema, resume: bool) -> Store:
     **Raises:** `ValueError` for a path that holds anything else: no study, a damaged one,
     or one of another configuration; none of them is touched.
     """
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        if not resume:
-            raise ValueError(
-                f"Argument `store` must be a path where there is nothing yet, but {path} "
-                "exists; go on with it by `resume=True` (--resume), or choose another."
-            )
+    if not resume:
+        refuse_taken(path)
+    elif _taken(path):
         _check(path, schema)
         for rest in path.rglob("*.partial"):  # of a write that was interrupted
             rest.unlink()
@@ -120,6 +117,19 @@ def open_store(path: Path, schema: Schema, resume: bool) -> Store:
         return store
     _create(path, schema)
     return Store(path, schema)
+
+
+def refuse_taken(path: Path) -> None:
+    """Refuse a path that holds anything."""
+    if _taken(path):
+        raise ValueError(
+            f"Argument `store` must be a path where there is nothing yet, but {path} "
+            "exists; go on with it by `resume=True` (--resume), or choose another."
+        )
+
+
+def _taken(path: Path) -> bool:
+    return path.exists() and (not path.is_dir() or any(path.iterdir()))
 
 
 def stored_attributes(path: Path) -> dict[str, Any]:
