@@ -10,6 +10,7 @@ import threading
 import time
 from pathlib import Path
 
+import cloudpickle
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +19,7 @@ import studies
 import xarray
 
 import aslo_jax as aslo
+from aslo_jax.engines import program
 from aslo_jax.metrics import RMSError
 from aslo_jax.study import open_study, run
 from aslo_jax.study.cluster import local_cluster
@@ -44,7 +46,10 @@ def stored(tmp_path_factory):
 @pytest.fixture(scope="module")
 def schema():
     """That of the store: a study is traced once for the tests that need no more."""
-    settings = studies.settings()
+    return study_of().schema
+
+
+def study_of(**changes) -> Study:
     problem = Problem(
         studies.experiment(),
         studies.SPREAD,
@@ -54,9 +59,9 @@ def schema():
         configuration=None,
         units={},
         entries=None,
-        **settings,
+        **studies.settings(**changes),
     )
-    return Study(problem).schema
+    return Study(problem)
 
 
 def copied(stored, tmp_path):
@@ -147,6 +152,23 @@ def test_scan_runs_in_blocks():
         make, samples[0], 20, metrics={"rms": RMSError("ASLO")}, engine="fused"
     )
     np.testing.assert_allclose(fused(samples).metrics["rms"], all_of_them, rtol=1e-9)
+
+
+def test_a_study_is_compiled_when_it_runs(monkeypatch):
+    """Not where it is traced only, as by the client of a cluster; and once for all chunks,
+    also where it was sent to."""
+    compiled, compile_it = [], program._compiled
+    monkeypatch.setattr(
+        program, "_compiled", lambda text: compiled.append(text) or compile_it(text)
+    )
+    study = study_of(samples=3 * BLOCK)
+    sent = cloudpickle.loads(cloudpickle.dumps(study))
+    assert not compiled
+    chunks = [sent.chunk(k) for k in range(3)]
+    kernels = len(compiled)
+    assert 1 <= kernels <= 2  # the loop, and its timetable
+    assert study.chunk(1)["rms"].tobytes() == chunks[1]["rms"].tobytes()
+    assert len(compiled) == 2 * kernels
 
 
 # ---- interrupted ---------------------------------------------------------------------
