@@ -104,9 +104,13 @@ class Quadratic(AbstractTerms):
     z: Float[Array, " n"]
     A: Float[Array, "n n"] | None = eqx.field(default=None, init=False)
 
+    def times(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
+        """`Q x`."""
+        return self.Q * x if self.Q.ndim == 0 else contract(self.Q, x)
+
     def row(self, F):
         H = F.settling("one")
-        Qz = self.Q * self.z if self.Q.ndim == 0 else contract(self.Q, self.z)
+        Qz = self.times(self.z)
         K = F.hidden(F.inject(self.c) + jnp.multiply.outer(H, Qz), "r")
         W = F.hidden(contract(K, self.z) - F.inject(self.d), "b")
         one, k = F.output(H), F.output(K)

@@ -17,6 +17,7 @@ from .estimate import HELP, estimate
 from .paper import paper
 from .sample import sample
 from .study import HELP as STUDY_HELP, study
+from .tune import tune
 
 app = typer.Typer(
     help="Differentiable state observers: recorded logs, studies, the paper's experiments.",
@@ -48,6 +49,7 @@ def start(
 
 app.command(help=HELP)(estimate)
 app.command()(calibrate)
+app.command()(tune)
 app.command()(sample)
 app.command()(paper)
 app.command(help=STUDY_HELP)(study)

@@ -1,12 +1,11 @@
 """The calibration of a described machine, and its file with the values that were found."""
 
-import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from .. import _toml_text
 from ..logs import Log
 from ..tune import Calibration, calibrate
 from .base import AbstractDescription, MachineError
@@ -94,36 +93,7 @@ def rewritten(text: str, values: Mapping[str, Any]) -> str:
     """A description with new `values` in `[machine]`; all else, comments too, as it was.
 
     **Raises:** [`MachineError`][] where a value is not on one line of its own."""
-    content = tomllib.loads(text.lstrip("\ufeff"))
-    lines = text.splitlines()
-    table, done = "", set()
-    for k, line in enumerate(lines):
-        if header := re.match(r"\s*\[\s*([\w.-]+)\s*\]", line):
-            table = header[1]
-            continue
-        found = re.match(r"(\s*([\w-]+)\s*=\s*)(\[[^\]#]*\]|[^#\s\[]+)(\s*(?:#.*)?)$", line)
-        if table == "machine" and found and found[2] in values:
-            new = _toml(values[found[2]])
-            # Comments stay in their columns where there is room.
-            tail = found[4]
-            if tail.strip():
-                free = len(found[3]) + len(tail) - len(tail.lstrip()) - len(new)
-                tail = " " * max(free, 2) + tail.lstrip()
-            lines[k] = found[1] + new + tail
-            done.add(found[2])
-    for name in values:
-        if name not in done and name not in content["machine"]:
-            header = next(k for k, s in enumerate(lines) if re.match(r"\s*\[\s*machine", s))
-            lines.insert(header + 1, f"{name} = {_toml(values[name])}")
-    result = "\n".join(lines) + "\n"
-    expected = content | {"machine": content["machine"] | dict(values)}
-    if tomllib.loads(result.lstrip("\ufeff")) != expected:
-        raise MachineError(
-            "The values of `[machine]` must stand on one line each, `key = value`, to be "
-            f"replaced, but {', '.join(sorted(set(values) - done))} does not."
-        )
-    return result
-
-
-def _toml(value: Any) -> str:
-    return repr(value)
+    try:
+        return _toml_text.rewritten(text, {"machine": values})
+    except ValueError as error:
+        raise MachineError(str(error)) from error

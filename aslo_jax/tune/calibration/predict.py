@@ -122,7 +122,7 @@ def residual(terms: Any, x: Float[Array, " n"]) -> tuple[Array, Array]:
     """`1/2 x'Q x - c'x - d` of a quadratic relation, `c'x - d` of a linear one, and its
     gradient in x."""
     if isinstance(terms, Quadratic):
-        Qx = jnp.sum(terms.Q * x, axis=-1)
+        Qx = terms.times(x)
         return 0.5 * jnp.sum(x * Qx) - jnp.sum(terms.c * x) - terms.d, Qx - terms.c
     return jnp.sum(terms.c * x) - terms.d, terms.c
 

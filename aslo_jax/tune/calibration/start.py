@@ -140,8 +140,9 @@ class _Relative(eqx.Module):
             size = jnp.sum(w * jnp.sum(slope**2, axis=1))
             if isinstance(terms, Quadratic):
                 first: Any = observer.relation(u[0], y[0])
-                Q = first.Q
-                size = size / jnp.sqrt(jnp.sum(Q**2) / Q.shape[0])
+                n = slope.shape[1]
+                Q = jax.vmap(first.times)(jnp.eye(n))
+                size = size / jnp.sqrt(jnp.sum(Q**2) / n)
             relative = (gap - is_open * jnp.sum(w * gap)) / size
             windows = (t[-1] - t[0]) / jnp.maximum(settling(observer), t[1] - t[0])
             found.append(jnp.sqrt(w * windows) * relative / RESIDUAL)

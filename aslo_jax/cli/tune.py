@@ -1,0 +1,128 @@
+"""`aslo-jax tune`: the gains of a study's observers, tuned by gradients."""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .._extras import require
+from .._toml_text import rewritten
+from ..logs import read_log
+from ..machines.file import KINDS
+from ..study.config import configure
+from ..tune.configured import Tuned, calibrate_study, changed, tune_study
+from .outputs import refuse_overlap, staged
+
+
+def tune(
+    config: Annotated[Path, typer.Argument(help="A study's file: .toml.")],
+    out: Annotated[Path, typer.Option(help="The file with the tuned gains: .toml.")],
+    plot: Annotated[
+        Path | None, typer.Option(help="A figure, before and after: .png, .pdf or .svg.")
+    ] = None,
+    gain: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME.KEY",
+            help="A gain to tune, for instance ASLO.cutoff; repeatable. By default every "
+            "number of an observer.",
+        ),
+    ] = None,
+    log: Annotated[
+        Path | None,
+        typer.Option(
+            help="Calibrate the machine and the noise of its sensor from this log first: "
+            ".csv, .parquet or .npz."
+        ),
+    ] = None,
+    samples: Annotated[int, typer.Option(min=1, help="Of the file's spread.")] = 128,
+    seed: Annotated[int, typer.Option(min=0, help="Of everything that is random.")] = 0,
+    iterations: Annotated[int, typer.Option(min=1, help="Of each search at most.")] = 40,
+    after: Annotated[
+        float, typer.Option(min=0.0, help="From when on errors count (s).")
+    ] = 0.0,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Neither table nor progress.")
+    ] = False,
+) -> None:
+    """Tune the gains of the observers of a study.
+
+    Each observer is tuned on its own, for the least mean square error over samples of the
+    study's spread; fresh samples judge the result. The new file differs from the old one in
+    the values that were found; comments and settings stay.
+    """
+    if out.suffix.lower() != ".toml":
+        raise ValueError(f"--out must be a .toml file, but is {out}.")
+    outputs = {"--out": out} | ({"--plot": plot} if plot else {})
+    inputs = {"the study": config} | ({"the log": log} if log else {})
+    refuse_overlap(outputs, inputs)
+    if plot:
+        from .figure import check_figure_suffix
+
+        check_figure_suffix(plot)
+        require("matplotlib", "cli,plot")
+    say = (lambda text: None) if quiet else (lambda text: typer.echo(text, err=True))
+    with staged(*outputs.values()) as parts:
+        text = config.read_text(encoding="utf-8")
+        content = tomllib.loads(text.lstrip("\ufeff"))
+        configure(content)
+        values: dict = {}
+        if log is not None:
+            signals = KINDS[content["machine"]["kind"]].layout.signals
+            found, values = calibrate_study(
+                content, read_log(log, signals, truth=False), progress=say
+            )
+            content = changed(content, values)
+            if not quiet:
+                typer.echo(str(found))
+        tuned = tune_study(
+            content,
+            gain or (),
+            samples=samples,
+            seed=seed,
+            steps=iterations,
+            after=after,
+            progress=lambda name: say(f"tuning {name}"),
+        )
+        for name, each in tuned.items():
+            rounded = {k: float(f"{v:.7g}") for k, v in each.after.items()}
+            values[f"observers.{name}"] = rounded
+        parts[0].write_text(rewritten(text, values), encoding="utf-8")
+        if plot:
+            _draw(parts[1], content["title"], tuned)
+    if not quiet:
+        _print(tuned)
+
+
+def _print(tuned: dict[str, Tuned]) -> None:
+    for name, each in tuned.items():
+        gains = ", ".join(
+            f"{key} {each.before[key]:.4g} to {each.after[key]:.4g}" for key in each.before
+        )
+        typer.echo(
+            f"{name}: {gains}; rms error of fresh samples {each.rms_before:.4g} to "
+            f"{each.rms_after:.4g}, {each.rms_before / each.rms_after:.3g} times less "
+            f"({each.fitted.stopped})"
+        )
+
+
+def _draw(path: Path, title: str, tuned: dict[str, Tuned]) -> None:
+    """The rms errors over fresh samples, before and after."""
+    figures = require("matplotlib.figure", "cli,plot")
+    figure = figures.Figure(figsize=(7.5, 0.55 * len(tuned) + 1.8), layout="constrained")
+    axes = figure.subplots()
+    for k, (name, each) in enumerate(reversed(tuned.items())):
+        del name
+        axes.plot([each.rms_before, each.rms_after], [k, k], color="0.7", zorder=1)
+        for value, color, label in (
+            (each.rms_before, "C3", "before"),
+            (each.rms_after, "C0", "after"),
+        ):
+            axes.scatter(value, k, color=color, zorder=2, label=None if k else label)
+    axes.set_yticks(range(len(tuned)), list(reversed(tuned)))
+    axes.set(xscale="log", xlabel="rms error over fresh samples", title=title)
+    axes.margins(y=0.15)
+    axes.grid(axis="x", which="both", alpha=0.3)
+    axes.legend(loc="best")
+    figure.savefig(path, dpi=130)

@@ -1,0 +1,86 @@
+"""The gains of a study's file, tuned: in Python, and by the command, in the same file."""
+
+import copy
+import tomllib
+from importlib.resources import files
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from aslo_jax._toml_text import rewritten
+from aslo_jax.cli.app import app
+from aslo_jax.tune.configured import changed, tune_study
+
+pytest.importorskip("llvmlite")
+TEXT = (files("aslo_jax.study") / "configs" / "double_integrator.toml").read_text("utf-8")
+
+# Errors count from when all have been certified: until then the loss jumps with the gain.
+SETTINGS = dict(samples=16, seed=3, after=0.4)
+
+
+def small():
+    """The double integrator with its A-ASLO alone, over a second."""
+    content = tomllib.loads(TEXT)
+    content["horizon"] = 1.0
+    del content["every"]
+    content["observers"] = {"A-ASLO": content["observers"]["A-ASLO"]}
+    return content
+
+
+@pytest.fixture(scope="module")
+def tuned():
+    gains = ["A-ASLO.cutoff"]
+    return tune_study(small(), gains, **SETTINGS, steps=20)["A-ASLO"]
+
+
+def test_tuned_gains_are_better_than_those_around_them(tuned):
+    assert tuned.rms_after < tuned.rms_before
+    assert tuned.before == {"cutoff": 3.0} and tuned.fitted.stopped != "iteration limit"
+    for factor in (0.9, 1.1):
+        beside = {"cutoff": factor * tuned.after["cutoff"]}
+        content = changed(small(), {"observers.A-ASLO": beside})
+        found = tune_study(content, ["A-ASLO.cutoff"], **SETTINGS, steps=1)
+        assert found["A-ASLO"].fitted.initial_loss > tuned.fitted.loss
+
+
+def test_a_gain_that_is_not_there_is_refused():
+    with pytest.raises(ValueError, match=r"one of A-ASLO\.cutoff, A-ASLO\.gain, but got"):
+        tune_study(small(), ["A-ASLO.cutof"])
+
+
+def test_only_the_values_change():
+    """Comments and other keys stay, in tables, in arrays of tables, and where a key was
+    absent."""
+    text = (
+        "a = 1.0\n[x]  # x\na = 2.0   # two\n[[y]]\na = 3.0\n[[y]]\nb = 1 # b\n"
+        "a = [4.0, 5.0]\n"
+    )
+    new = rewritten(text, {"x": {"a": 2.5, "c": 7.0}, "y.1": {"a": [4.5, 5.5]}})
+    assert new == (
+        "a = 1.0\n[x]  # x\nc = 7.0\na = 2.5   # two\n[[y]]\na = 3.0\n[[y]]\nb = 1 # b\n"
+        "a = [4.5, 5.5]\n"
+    )
+    with pytest.raises(ValueError, match="must stand on one line each"):
+        rewritten("[x]\na = [\n 1.0]\n", {"x": {"a": [2.0]}})
+
+
+def test_the_command_writes_the_same_file_with_its_gains(tmp_path, tuned):
+    text = TEXT
+    content = tomllib.loads(text)
+    path, out = tmp_path / "study.toml", tmp_path / "tuned.toml"
+    path.write_text(text.replace(f"horizon = {content['horizon']}", "horizon = 1.0"))
+    command = ["tune", str(path), "--out", str(out), "--plot", str(tmp_path / "tuned.png")]
+    command += ["--gain", "A-ASLO.cutoff", "--samples", "16"]
+    command += ["--seed", "3", "--iterations", "20", "--after", "0.4"]
+    found = CliRunner().invoke(app, command)
+    assert found.exit_code == 0, found.output
+    assert "A-ASLO: cutoff" in found.output and "times less" in found.output
+    new, old = tomllib.loads(out.read_text()), tomllib.loads(path.read_text())
+    gains = new["observers"]["A-ASLO"]
+    for key, value in tuned.after.items():
+        np.testing.assert_allclose(gains[key], value, rtol=1e-6)
+    expected = copy.deepcopy(old)
+    expected["observers"]["A-ASLO"] = gains
+    assert new == expected
+    assert (tmp_path / "tuned.png").stat().st_size > 5_000
