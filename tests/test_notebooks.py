@@ -9,7 +9,7 @@ from nbclient import NotebookClient
 NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
 
 
-FIGURES = {"machines": 4, "mechanical": 5, "quickstart": 2, "tuning": 3}
+FIGURES = {"machines": 4, "mechanical": 5, "monte_carlo": 2, "quickstart": 2, "tuning": 3}
 
 
 @pytest.mark.parametrize(("name", "figures"), FIGURES.items())

@@ -12,7 +12,9 @@ import xarray as xr
 from aslo_jax.study.bands import bands
 from aslo_jax.study.formats import number
 from aslo_jax.study.report import write_report
-from aslo_jax.study.statistics import proportion, quantile, rms
+from aslo_jax.study.sensitivity import Index
+from aslo_jax.study.statistics import Interval, proportion, quantile, rms
+from aslo_jax.study.tables import table
 
 SAMPLES = 60
 TIME = np.linspace(0.0, 2.0, 21)
@@ -155,6 +157,27 @@ def test_one_observer_and_no_trajectories(dataset, tmp_path):
     assert "Peer &lt;1&gt; has the median 0.2" in page
     assert "Pair by pair" not in page and "bound" not in page
     assert sorted(p.name for p in tmp_path.iterdir()) == ["metrics.png", "report.html"]
+
+
+def test_entries_over_their_scales(dataset):
+    """Entries of different units count by what each is divided by."""
+    scaled = dataset.copy()
+    scaled["rms"] = scaled["rms"].assign_attrs(scale=[2.0, 4.0])
+    x = dataset["rms"].sel(observer="ASLO").values
+    found = table(scaled, "rms", 0.95)
+    expected = np.median(np.hypot(x[:, 0] / 2.0, x[:, 1] / 4.0))
+    assert found.summaries["ASLO"].median.value == pytest.approx(expected, rel=1e-12)
+    assert found.unit == ""
+    assert found.label.endswith("over their scales")
+
+
+def test_what_decides_the_error(dataset, tmp_path):
+    indices = [Index("load_torque", Interval(0.1, 0.0, 0.2), Interval(0.87, 0.8, 0.9))]
+    influences = dict.fromkeys(("ASLO", "Peer <1>"), indices)
+    page = write_report(dataset, tmp_path, influences=influences).read_text("utf-8")
+    row = re.search(r'<td class="text">load torque</td>(.*)</tr>', page)
+    assert row is not None
+    assert row[1].count("<td>0.87<small>0.8 to 0.9</small></td>") == 2
 
 
 def test_bands_are_the_quantiles_at_each_instant(dataset, monkeypatch):

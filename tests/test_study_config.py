@@ -237,9 +237,14 @@ def test_command(tmp_path, capsys):
     assert found["rms"].attrs["units"] == "m/s"
     assert (found["rms"].sel(observer="Kalman") < found["rms"].sel(observer="ASLO")).all()
     assert '"kind": "double_integrator"' in found.attrs["configuration"]
+    page = (out / "report.html").read_text("utf-8")
+    assert "<h1>Double integrator: speed from position" in page
+    assert page.count("Cramér-Rao bound</td>") == 1  # a line of the table of rms errors
+    figures = {path.name for path in out.glob("*.png")}
+    assert figures == {"metrics.png", "error.png", "parameters.png"}
     command(*options, code=2)
     assert "exists; go on with it" in capsys.readouterr().err
-    command(*options, "--resume", "--quiet")
+    command(*options, "--resume", "--quiet", "--no-report")
     said = capsys.readouterr()
     assert said.out == said.err == ""
 

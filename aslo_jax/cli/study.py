@@ -1,17 +1,21 @@
 """`aslo-jax study`: an experiment over thousands of samples of its parameters."""
 
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from .._extras import require
 from ..study import open_study, run
 from ..study.cluster import local_cluster
-from ..study.config import NAMES, read_configuration
+from ..study.config import NAMES, Configuration, read_configuration
+
+if TYPE_CHECKING:
+    from ..study.sensitivity import Index
 
 STORE = "study.zarr"
 
@@ -29,9 +33,9 @@ their noise, as CONFIG describes them, a TOML file or one of the ready-made
 {", ".join(NAMES)}.
 
 In the directory --out appear {STORE}, which xarray opens, with every metric, every
-parameter and decimated errors, and a report. The results depend on the configuration, the
-number of samples and the seed only: not on --chunk, --workers or --cluster, and not on
-whether the study was interrupted and resumed.
+parameter and decimated errors, and report.html with its figures, also as PNG. The results
+depend on the configuration, the number of samples and the seed only: not on --chunk,
+--workers or --cluster, and not on whether the study was interrupted and resumed.
 """
 
 
@@ -66,6 +70,16 @@ def study(
             "those of the study that is resumed.",
         ),
     ] = None,
+    report: Annotated[
+        bool, typer.Option(help="Write the report and its figures, at the end.")
+    ] = True,
+    sensitivity: Annotated[
+        bool,
+        typer.Option(
+            "--sensitivity",
+            help="Sobol indices of the rms error, in the terminal and in the report.",
+        ),
+    ] = False,
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="Neither summary nor progress.")
     ] = False,
@@ -75,9 +89,12 @@ def study(
         raise ValueError("--cluster and --workers exclude each other; give one of them.")
     if out.exists() and not out.is_dir():
         raise ValueError(f"--out must be a directory, but {out} is a file.")
-    for package in ("zarr", "xarray", "tqdm"):
+    wanted = ["zarr", "xarray", "tqdm", *(["jinja2", "matplotlib"] if report else [])]
+    for package in [*wanted, *(["SALib"] if sensitivity else [])]:
         require(package, "study")
     configuration = read_configuration(config)
+    if sensitivity:
+        _rms(configuration)
     begun = time.perf_counter()
     with ExitStack() as stack:
         client = None
@@ -102,6 +119,58 @@ def study(
     spent = time.perf_counter() - begun
     if not quiet:
         _summary(configuration.title, open_study(out / STORE), spent)
+    found = _influences(configuration, seed, engine, quiet) if sensitivity else None
+    if report:
+        page = _report(configuration, seed, out, found)
+        if not quiet:
+            typer.echo(f"{page}")
+
+
+def _report(
+    configuration: Configuration, seed: int, out: Path, influences: Any = None
+) -> Path:
+    """Write the report, with the bound where there is one."""
+    # Not for those who do not want one: scipy.stats is slow to import.
+    from ..study.reference import with_reference
+    from ..study.report import write_report
+
+    dataset = with_reference(open_study(out / STORE), configuration, seed)
+    return write_report(dataset, out, title=configuration.title, influences=influences)
+
+
+def _rms(configuration: Configuration) -> str:
+    """The metric that sensitivity is told of: the first rms error."""
+    tables = configuration.content["metrics"]
+    for name, table in tables.items():
+        if table["kind"] == "rms":
+            return name
+    raise ValueError(
+        '--sensitivity needs a metric of the kind "rms", but the study has '
+        f"{', '.join(tables)}."
+    )
+
+
+def _influences(
+    configuration: Configuration, seed: int, engine: Engine, quiet: bool
+) -> "Mapping[str, list[Index]]":
+    """The indices of every observer, printed unless `quiet`."""
+    from ..study.influence import influences
+    from ..study.sensitivity import to_text
+
+    found = influences(
+        configuration.experiment,
+        configuration.spread,
+        configuration.metrics[_rms(configuration)],
+        configuration.steps,
+        scale=configuration.scale,
+        seed=seed,
+        engine=engine.value,
+    )
+    for observer, table in found.items():
+        if not quiet:
+            typer.echo(f"{observer}, Sobol indices of the logarithm of the rms error:")
+            typer.echo(to_text(table))
+    return found
 
 
 def _summary(title: str, dataset, spent: float) -> None:

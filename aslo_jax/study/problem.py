@@ -91,7 +91,7 @@ class Study:
             problem.experiment, problem.spread, problem.seed, problem.samples
         )
         metrics = {
-            f"{metric}/{observer}": _made(make, observer)
+            f"{metric}/{observer}": made(make, observer)
             for metric, make in problem.metrics.items()
             for observer in problem.observers
         }
@@ -153,8 +153,11 @@ class Study:
             if shape == (width,):
                 names = problem.entries or tuple(str(k + 1) for k in range(width))
                 coordinates["entry"] = np.array(names)
+            about = self._about(metric)
+            if shape == (width,) and problem.scale is not None:
+                about["scale"] = problem.scale.tolist()
             variables[metric] = Variable(
-                dims, (len(observers), *shape), np.dtype(dtype), self._about(metric)
+                dims, (len(observers), *shape), np.dtype(dtype), about
             )
         for name in self.sampler.names:
             about = self._about(f"parameter_{name}")
@@ -182,7 +185,7 @@ class Study:
             self._attributes(),
         )
 
-    def _about(self, name: str, text: str | None = None) -> dict[str, str]:
+    def _about(self, name: str, text: str | None = None) -> dict[str, Any]:
         text = name.replace("_", " ") if text is None else text
         return {"units": self.problem.units.get(name, ""), "long_name": text}
 
@@ -210,7 +213,8 @@ def _hidden(experiment: Experiment) -> Float[Array, " n"]:
     return experiment.plant.hidden(jax.tree.map(jnp.asarray, start))
 
 
-def _made(make: MakeMetric, observer: str) -> AbstractMetric:
+def made(make: MakeMetric, observer: str) -> AbstractMetric:
+    """The metric of one observer."""
     if isinstance(make, AbstractMetric):
         return dataclasses.replace(make, observer=observer)  # pyright: ignore[reportCallIssue]
     return make(observer)
@@ -233,7 +237,7 @@ def _described(problem: Problem) -> dict[str, Any]:
         "experiment": eqx.tree_pformat(problem.experiment, short_arrays=False),
         "spread": str(problem.spread),
         "metrics": {
-            name: eqx.tree_pformat(_made(make, "observer"), short_arrays=False)
+            name: eqx.tree_pformat(made(make, "observer"), short_arrays=False)
             for name, make in problem.metrics.items()
         },
     }
@@ -262,7 +266,7 @@ def fingerprint(problem: Problem) -> str:
     add(problem.spread.design, problem.every)
     add(None if problem.scale is None else problem.scale.tolist())
     for name, make in problem.metrics.items():
-        metric = _made(make, "observer")
+        metric = made(make, "observer")
         add(name, type(metric).__qualname__, *map(_content, jax.tree.leaves(metric)))
         add(jax.tree.structure(metric))
     return found.hexdigest()

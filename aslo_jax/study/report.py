@@ -3,12 +3,14 @@
 import base64
 import json
 import pathlib
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .._extras import require
 from . import formats
 from .bands import bands
 from .figures import Figure, band_figure, metric_figure, parameter_figure
+from .sensitivity import Index
 from .statistics import Interval
 from .tables import (
     BOUND,
@@ -25,14 +27,20 @@ from .tables import (
 
 
 def write_report(
-    dataset: Any, folder: str | pathlib.Path, *, title: str = "", confidence: float = 0.95
+    dataset: Any,
+    folder: str | pathlib.Path,
+    *,
+    title: str = "",
+    confidence: float = 0.95,
+    influences: Mapping[str, Sequence[Index]] | None = None,
 ) -> pathlib.Path:
     """Write `report.html` and its figures as PNG to `folder`; returns the path of the page.
 
     - `dataset`: the `xarray.Dataset` of a study, from memory or a store. Metrics are read
       one at a time and trajectories in blocks of samples, so that a million samples fit;
     - `title` of the page, by default the observers' names;
-    - `confidence` of every interval and test.
+    - `confidence` of every interval and test;
+    - `influences`: what [`influences`][] gives, for a table of them.
 
     The page needs no other file and no network. The same dataset gives the same bytes.
 
@@ -74,6 +82,7 @@ def write_report(
         figures={f.name: (f.caption, _embedded(f.render("svg"))) for f in figures},
         bound=any(table.bound is not None for table in tables),
         facts=_facts(dataset),
+        influences=_by_parameter(influences or {}),
         versions=_json(dataset.attrs.get("versions")) or {},
         configuration=_pretty(dataset.attrs.get("configuration")),
     )
@@ -164,6 +173,17 @@ def _next(observer: str, ratio: Interval, best: str) -> str:
         f"{observer}, the next, has {formats.number(ratio.value)} times the value of "
         f"{best} in the median sample ({formats.interval(ratio)})."
     )
+
+
+def _by_parameter(
+    influences: Mapping[str, Sequence[Index]],
+) -> dict[str, dict[str, Index]]:
+    """The index of each observer, by parameter."""
+    found: dict[str, dict[str, Index]] = {}
+    for observer, indices in influences.items():
+        for index in indices:
+            found.setdefault(index.name.replace("_", " "), {})[observer] = index
+    return found
 
 
 def _facts(dataset: Any) -> dict[str, str]:

@@ -102,12 +102,16 @@ class Sampler:
 
     def values(self, start: int, stop: int) -> Float[np.ndarray, "N d"]:
         """The numbers drawn for the samples from `start` to before `stop`."""
-        u, done, first = self.design(start, stop), [], 0
+        return self.quantiles(self.design(start, stop))
+
+    def quantiles(self, u: Float[np.ndarray, "N d"]) -> Float[np.ndarray, "N d"]:
+        """The numbers at points of the unit cube, one coordinate for each."""
+        done, first = [], 0
         for parameter in self.parameters:
             last = first + parameter.distribution.dimension
             done.append(parameter.distribution.quantiles(u[:, first:last]))
             first = last
-        return np.concatenate([*done, np.empty((stop - start, 0))], axis=1)
+        return np.concatenate([*done, np.empty((len(u), 0))], axis=1)
 
     def like(self) -> dict[str, Any]:
         """The shapes and types of one sample."""

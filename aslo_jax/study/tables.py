@@ -35,7 +35,7 @@ def table(dataset: Any, name: str, confidence: float, seed: int = 0) -> Table:
     return Table(
         name,
         label(dataset[name]) + _entries(dataset[name]),
-        unit(dataset[name]),
+        "" if _scale(dataset[name]) is not None else unit(dataset[name]),
         {o: summarise(x, confidence, seed) for o, x in values.items()},
         ranking(values, confidence, comparisons),
         comparisons,
@@ -74,13 +74,16 @@ def names(dataset: Any) -> list[str]:
 
 def magnitude(dataset: Any, name: str, observer: str) -> Float[np.ndarray, " N"]:
     """The magnitude of a metric in each sample, the Euclidean norm over its entries where
-    it has some; infinite where the sample diverged, whatever the metric says then."""
+    it has some, each over its scale where the study has one; infinite where the sample
+    diverged, whatever the metric says then."""
     x = np.asarray(dataset[name].sel(observer=observer).values, float)
     if x.ndim > 1:
         x = x.reshape(x.shape[0], -1)
         # Observers may have fewer entries than others; what none of the samples fills is
         # not there, unless nothing is.
         filled = ~np.isnan(x).all(0)
+        scale = _scale(dataset[name])
+        x = x if scale is None else x / scale
         x = x[:, filled] if filled.any() else x
         x = np.sqrt(np.sum(x * x, 1))
     x = np.abs(x)
@@ -109,10 +112,18 @@ def _of_samples(dataset: Any) -> list[str]:
     ]
 
 
+def _scale(variable: Any) -> Float[np.ndarray, " n"] | None:
+    """What each entry of a metric is divided by."""
+    found = variable.attrs.get("scale")
+    return None if found is None else np.asarray(found, float)
+
+
 def _entries(variable: Any) -> str:
     """What a label says of a metric that has several numbers per sample."""
     others = set(variable.dims) - {"sample", "observer"}
     several = any(variable.sizes[dimension] > 1 for dimension in others)
+    if _scale(variable) is not None:
+        return ", norm of the entries over their scales"
     return ", norm of the entries" if several else ""
 
 
