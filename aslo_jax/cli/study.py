@@ -134,7 +134,11 @@ def _report(
     from ..study.reference import with_reference
     from ..study.report import write_report
 
-    dataset = with_reference(open_study(out / STORE), configuration, seed)
+    dataset = open_study(out / STORE)
+    # A store has no order of its own; the file's is the one of importance.
+    first = list(configuration.metrics)
+    dataset = dataset[first + [x for x in dataset.data_vars if x not in first]]
+    dataset = with_reference(dataset, configuration, seed)
     return write_report(dataset, out, title=configuration.title, influences=influences)
 
 
