@@ -162,7 +162,7 @@ def test_one_observer_and_no_trajectories(dataset, tmp_path):
 def test_entries_over_their_scales(dataset):
     """Entries of different units count by what each is divided by."""
     scaled = dataset.copy()
-    scaled["rms"] = scaled["rms"].assign_attrs(scale=[2.0, 4.0])
+    scaled["rms"] = scaled["rms"].assign_attrs(scale=[2.0, 4.0, 8.0])
     x = dataset["rms"].sel(observer="ASLO").values
     found = table(scaled, "rms", 0.95)
     expected = np.median(np.hypot(x[:, 0] / 2.0, x[:, 1] / 4.0))
@@ -177,7 +177,7 @@ def test_what_decides_the_error(dataset, tmp_path):
     page = write_report(dataset, tmp_path, influences=influences).read_text("utf-8")
     row = re.search(r'<td class="text">load torque</td>(.*)</tr>', page)
     assert row is not None
-    assert row[1].count("<td>0.87<small>0.8 to 0.9</small></td>") == 2
+    assert row[1].count("<td>0.870<small>0.800 to 0.900</small></td>") == 2
 
 
 def test_bands_are_the_quantiles_at_each_instant(dataset, monkeypatch):
