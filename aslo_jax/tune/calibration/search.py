@@ -18,6 +18,7 @@ from .whiten import Gains, Noise, errors, kalman
 
 SETTLED = 0.05  # a change in standard deviations that ends the search
 NEGLIGIBLE = 0.1  # a share of a direction that is not worth its name
+GAINED = 1.0  # in log-likelihood, by a round, at most
 KICK = 0.02  # of the derivatives' rms, the first guess of what disturbs them
 
 
@@ -88,19 +89,22 @@ def calibrate(
     flat, sizes = np.zeros((k, 0)), []
     done = 0
     while True:
-        done, before = done + 1, v
+        done, before, likelihood = done + 1, v, search.likelihood
         v, known = search.round(before, basis)
         # What wanders along flat directions need not settle. They are taken out when the
-        # rest has: before, a model that is off looks like noise.
+        # rest and the noise have: before, a model that is off looks like noise, in which
+        # everything is flat.
         news = known.flat(factor, resolution, basis)
         rest = scipy.linalg.null_space(np.concatenate([flat, news], axis=1).T)
         moves = np.abs(rest.T @ (v - before)[:k]) / known.along(rest)
         moved = float(np.max(moves, initial=0.0))
         progress(f"round {done}: the parameters move by {moved:.2g} deviations")
-        if moved > SETTLED and done < rounds:
+        gained = search.likelihood - likelihood
+        settled = moved <= SETTLED and gained <= GAINED
+        if not settled and done < rounds:
             continue
         if news.shape[1] == 0:
-            reason = "it settled" if moved <= SETTLED else "the rounds are used up"
+            reason = "it settled" if settled else "the rounds are used up"
             break
         sizes += list(known.along(news))
         flat = np.concatenate([flat, news], axis=1)
@@ -170,7 +174,7 @@ class _Search:
         self.drift = np.maximum(rms, 1e-12)
         self.reference = _rough(y)
         self.levels = np.array([0.0, np.log(KICK)])
-        self.errors = np.zeros((0, 1))
+        self.errors, self.likelihood = np.zeros((0, 1)), -np.inf
 
     def round(self, v: Float[np.ndarray, " v"], basis: Float[np.ndarray, "k r"]) -> _Round:
         """One round from the unknowns `v`, along the directions `basis`."""
@@ -224,7 +228,10 @@ class _Search:
             bounds=[(-7.0, 7.0), (np.log(1e-8), np.log(3.0))],
             options={"maxiter": 15},
         )
-        self.levels = found.x
+        self.levels, self.likelihood = (
+            found.x,
+            -float(found.fun) * len(self.problem.signals.y),
+        )
         return evaluated(found.x)[2]
 
 
