@@ -15,6 +15,7 @@ from aslo_jax.tune.configured import changed, tune_study
 pytest.importorskip("llvmlite")
 TEXT = (files("aslo_jax.study") / "configs" / "double_integrator.toml").read_text("utf-8")
 
+GAINS = {"cutoff": 3.0, "gain": 2.0}  # rad/s, far from the best
 # Errors count from when all have been certified: until then the loss jumps with the gain.
 SETTINGS = dict(samples=16, seed=3, after=0.4)
 
@@ -24,7 +25,7 @@ def small():
     content = tomllib.loads(TEXT)
     content["horizon"] = 1.0
     del content["every"]
-    content["observers"] = {"A-ASLO": content["observers"]["A-ASLO"]}
+    content["observers"] = {"A-ASLO": content["observers"]["A-ASLO"] | GAINS}
     return content
 
 
@@ -69,7 +70,8 @@ def test_the_command_writes_the_same_file_with_its_gains(tmp_path, tuned):
     text = TEXT
     content = tomllib.loads(text)
     path, out = tmp_path / "study.toml", tmp_path / "tuned.toml"
-    path.write_text(text.replace(f"horizon = {content['horizon']}", "horizon = 1.0"))
+    text = text.replace(f"horizon = {content['horizon']}", "horizon = 1.0")
+    path.write_text(rewritten(text, {"observers.A-ASLO": GAINS}))
     command = ["tune", str(path), "--out", str(out), "--plot", str(tmp_path / "tuned.png")]
     command += ["--gain", "A-ASLO.cutoff", "--samples", "16"]
     command += ["--seed", "3", "--iterations", "20", "--after", "0.4"]
