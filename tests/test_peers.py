@@ -144,7 +144,7 @@ def test_fo3_contracts_each_entry_by_the_integral_of_the_squared_determinant():
 
 
 def _determinant(t, s):
-    i = np.asarray(MOTOR.current(jnp.asarray(t)))
+    i = np.asarray(signals(jnp.asarray(t))[1])
     r1 = s[1:3] - s[0] * i
     return r1[0] * s[5] - r1[1] * s[4]
 
