@@ -32,6 +32,6 @@ def checkpointed(plan: Plan, samples: PyTree, steps: int) -> PyTree:
         whole = steps // size
         state, _ = jax.lax.scan(block, state, size * jnp.arange(whole))
         state, _ = jax.lax.scan(step, state, jnp.arange(size * whole, steps))
-        return {name: m.result(state[1][name]) for name, m in plan.metrics.items()}
+        return plan.results(state)
 
     return jax.vmap(one)(samples)
