@@ -20,7 +20,7 @@ def available() -> bool:
 
 def sampled(batch, steps: int, threads: int, noisy: bool = False):
     """A function without arguments: final flux, ASLO and A-ASLO, shape `(N, 3, 2)`."""
-    import numba
+    import numba  # pyright: ignore[reportMissingImports]  of an optional peer
 
     resistance, magnet, keys = (np.ascontiguousarray(x) for x in batch)
     loop = _compiled()
@@ -36,7 +36,7 @@ def sampled(batch, steps: int, threads: int, noisy: bool = False):
 
 def _compiled():
     """The loop: Numba is imported where it is asked for, and compiles at the first call."""
-    from numba import njit, prange, uint32
+    from numba import njit, prange, uint32  # pyright: ignore[reportMissingImports]
 
     sin, cos, sqrt, log = math.sin, math.cos, math.sqrt, math.log
 
