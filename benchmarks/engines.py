@@ -86,9 +86,8 @@ def gradient() -> dict[str, float]:
         return jnp.mean(found.metrics["rms"])
 
     gains = jnp.array([work.RATE, work.GAIN])
-    # The callback of the derivative returns tangents only: the values are a run beside it.
-    # That run is part of `jacfwd`, and dropped where nothing uses them.
-    primal, tangent = jax.jit(loss), jax.jit(jax.jacfwd(loss))
+    both = jax.jacfwd(lambda gains: (loss(gains),) * 2, has_aux=True)
+    primal, tangent = jax.jit(loss), jax.jit(both)
     run = {
         "primal": lambda: jax.block_until_ready(primal(gains)),
         "gradient": lambda: jax.block_until_ready(tangent(gains)),

@@ -37,13 +37,14 @@ class Derivative:
         self._programs: dict[int, Program] = {}
 
     def program(self, directions: int, width: int) -> Program:
-        """The loop of values and tangents, which returns the tangents of real results."""
+        """The loop of values and tangents, which returns pairs of both: of what is real,
+        tangents with a leading axis of directions."""
         if directions not in self._programs:
             self._programs[directions] = self._beside(directions, width)
         return self._programs[directions]
 
     def _lane(self, lead: tuple[int, ...]) -> tuple[list, list[jax.ShapeDtypeStruct]]:
-        return self.sample, [_wide(self.sample[k], lead) for k in self.moved]
+        return self.sample, wide([self.sample[k] for k in self.moved], *lead)
 
     def _moving_state(self, loop: Loop) -> list[int]:
         """The real leaves of the state that may depend on the moved leaves of a sample."""
@@ -89,19 +90,19 @@ class Derivative:
             return self.plan.results(jax.tree.unflatten(self.state_tree, leaves))
 
         out, rate = jax.jvp(run, ([old[j] for j in self.carried],), (rates,))
-        return _of_real(rate, out)
+        return out, _of_real(rate, out)
 
     def _pushed(self, run: Callable, point: list[Any], rates: list[Any]):
-        """The next values and tangents, and the tangents of what is kept."""
+        """The next values and tangents, and those of what is kept."""
         (state, kept), (state_rate, rate) = jax.jvp(run, (point,), (rates,))
         moving = [jax.tree.leaves(state_rate)[j] for j in self.carried]
-        return (state, moving), _of_real(rate, kept)
+        return (state, moving), (kept, _of_real(rate, kept))
 
     # -- several ones --------------------------------------------------------------------
 
     def _beside(self, directions: int, width: int) -> Program:
         traced, lead = self._traced, (directions,)
-        tangents = [_wide(self.state_leaves[j], lead) for j in self.carried]
+        tangents = wide([self.state_leaves[j] for j in self.carried], *lead)
         carry = (self.state_leaves, tangents)
         given = Inputs(carry, {"lane": self._lane(lead)})
         size, samples = len(self.state_leaves), len(self.sample)
@@ -119,18 +120,27 @@ class Derivative:
             for out, closed, inputs in zip(outs, jaxprs, arguments, strict=True):
                 out.append(flatten(given.graph, closed, inputs))
 
-        def together(out: list[list[np.ndarray]], shared: int) -> list[np.ndarray]:
-            wide = [np.stack(r) for r in zip(*(one[shared:] for one in out), strict=True)]
-            return [*out[0][:shared], *wide]
+        def together(out: list[list[np.ndarray]], *pairs: PyTree) -> list[np.ndarray]:
+            """Of pairs of values and tangents, the former once."""
+            of_values = [v for pair in pairs for v in _flags(pair)]
+            columns = zip(of_values, zip(*out, strict=True), strict=True)
+            return [every[0] if shared else np.stack(every) for shared, every in columns]
 
-        begin, advance = together(outs[0], size), together(outs[1], size)
+        pairs = (carry, traced.record)
+        begin, advance = (together(out, *pairs) for out in outs[:2])
         parts = begin[:count], advance[:count], advance[count:], begin[count:]
-        loop = Loop(given.graph, *map(flat, (*parts, together(outs[2], 0))))
+        final = together(outs[2], traced.final)
+        loop = Loop(given.graph, *map(flat, (*parts, final)))
         record, final = (
-            jax.tree.map(lambda s: _wide(s, lead), tree)
-            for tree in (traced.record, traced.final)
+            (values, wide(rates, *lead)) for values, rates in (traced.record, traced.final)
         )
         return Program(loop, record, final, width)
+
+
+def _flags(pair: tuple[PyTree, PyTree]) -> list[bool]:
+    """For every leaf of values and tangents, whether it is a value."""
+    values, rates = (len(jax.tree.leaves(tree)) for tree in pair)
+    return [True] * values + [False] * rates
 
 
 def _of_real(rate: PyTree, value: PyTree) -> list[Any]:
@@ -139,8 +149,9 @@ def _of_real(rate: PyTree, value: PyTree) -> list[Any]:
     return [r for r, x in pairs if is_real(x)]
 
 
-def _wide(s: jax.ShapeDtypeStruct, lead: tuple[int, ...]) -> jax.ShapeDtypeStruct:
-    return jax.ShapeDtypeStruct((*lead, *s.shape), s.dtype)
+def wide(shapes: PyTree, *lead: int) -> PyTree:
+    """Shapes and types with further axes in front."""
+    return jax.tree.map(lambda s: jax.ShapeDtypeStruct((*lead, *s.shape), s.dtype), shapes)
 
 
 def _edges(shapes: list[jax.ShapeDtypeStruct]) -> np.ndarray:

@@ -1,6 +1,7 @@
 """The fused engine: a batch as one compiled loop, differentiable in its samples."""
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -10,7 +11,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import PyTree
 
 from .._checks import is_concrete
-from .derivative import Derivative, is_real
+from .derivative import Derivative, is_real, wide
 from .plan import Batch, Plan
 from .program import Bodies, Program, width
 
@@ -18,8 +19,8 @@ from .program import Bodies, Program, width
 class Fused:
     """A batch of one plan, `like` the shapes of one of its samples. Called with samples, it
     runs; under a transformation of JAX it becomes a callback with a derivative of its own,
-    in forward mode: the tangents run in the same loop as the values, all directions beside
-    each other."""
+    in forward mode: one run gives the values and, beside them, the tangents of all
+    directions."""
 
     def __init__(
         self, plan: Plan, like: PyTree, steps: int, every: int, threads: int | None
@@ -59,12 +60,6 @@ class Fused:
         )
         return Program.of(bodies, {"lane": self.sample}, width())
 
-    def _run_with_rates(self, push: Derivative, leaves, rates, directions: int):
-        """The tangents of the real results: an axis of lanes, one of directions, theirs."""
-        program = push.program(directions, width())
-        record, final = self._execute(program, {"lane": (leaves, rates)}, leaves[0])
-        return [*final, *(np.moveaxis(x, 2, 1) for x in record)]
-
     def _run(self, leaves: list[Any]) -> Batch:
         leaves = [np.asarray(x) for x in leaves]
         record, final = self._execute(self.program, {"lane": leaves}, leaves[0])
@@ -78,23 +73,11 @@ class Fused:
 
     def _shapes(self, lanes: int) -> Batch:
         """Of the results."""
-
-        def wide(tree, *lead):
-            return jax.tree.map(
-                lambda s: jax.ShapeDtypeStruct((*lead, *s.shape), s.dtype), tree
-            )
-
-        rows = self.steps // self.every + 1
-        program = self.program
+        rows, program = self.steps // self.every + 1, self.program
         return Batch(wide(program.final, lanes), wide(program.record, lanes, rows))
 
     def _transformed(self, leaves: list[Any]) -> Batch:
-        shapes = self._shapes(leaves[0].shape[0])
-
-        @jax.custom_jvp
-        def run(leaves):
-            method = "broadcast_all"
-            return jax.pure_callback(self._batched, shapes, leaves, vmap_method=method)
+        run = jax.custom_jvp(self._values())
 
         def derivative(primals, tangents):
             (leaves,), (rates,) = primals, tangents
@@ -103,67 +86,87 @@ class Fused:
                 for k, rate in enumerate(rates)
                 if is_real(self.sample[k]) and not isinstance(rate, SymbolicZero)
             ]
-            out = run(leaves)
-            rates = [rates[k] for k in moved]
-            push = Derivative(self.plan, self.made, self.sample, self.program, moved)
-            tangent = jax.pure_callback(
-                lambda leaves, rates: self._rates(leaves, push, rates),
-                [s for s in jax.tree.leaves(shapes) if is_real(s)],
-                leaves,
-                rates,
-                vmap_method="expand_dims",
-            )
-            return out, _with_integers(out, tangent)
+            push = self._pushed(moved)
+            out, tangent = push(leaves, [rates[k][None] for k in moved])
+            return out, _with_integers(out, [x[0] for x in tangent])
 
         run.defjvp(derivative, symbolic_zeros=True)
         return run(leaves)
 
-    def _batched(self, leaves: list[Any]) -> Batch:
-        """Runs leaves with further axes in front, as more lanes."""
-        leaves = [np.asarray(x) for x in leaves]
-        lead = leaves[0].shape[: leaves[0].ndim - 1 - len(self.sample[0].shape)]
-        flat = [x.reshape(-1, *s.shape) for x, s in zip(leaves, self.sample, strict=True)]
-        out = self._run(flat)
-        return jax.tree.map(lambda x: x.reshape(*lead, -1, *x.shape[1:]), out)
+    def _values(self) -> Callable[[list[Any]], Batch]:
+        """From the samples to the results, where further axes are more lanes."""
 
-    def _rates(self, leaves, push: Derivative, rates) -> list[np.ndarray]:
-        """The tangents of the real results. Axes in front of size one in every leaf, and
-        not in the rates, are directions."""
-        leaves = [np.asarray(x) for x in leaves]
-        rates = [np.asarray(x) for x in rates]
-        extra = leaves[0].ndim - 1 - len(self.sample[0].shape)
-        lead = np.broadcast_shapes(*(x.shape[:extra] for x in (*leaves, *rates)))
-        fixed = [max(x.shape[a] for x in leaves) for a in range(extra)]
-        ahead = [a for a in range(extra) if fixed[a] == 1 < lead[a]]
-        kept = [a for a in range(extra) if a not in ahead]
-        directions = int(np.prod([lead[a] for a in ahead], dtype=int))
-        lanes = leaves[0].shape[extra]
-        lanes_lead = [lead[a] for a in kept]
+        @jax.custom_batching.custom_vmap
+        def values(leaves):
+            return jax.pure_callback(self._run, self._shapes(len(leaves[0])), leaves)
 
-        def flat_leaf(x, s):
-            x = np.squeeze(x, tuple(ahead))
-            return np.broadcast_to(x, (*lanes_lead, lanes, *s.shape)).reshape(-1, *s.shape)
+        @values.def_vmap
+        def batched(size, axes, leaves):
+            out = values(_more(leaves, axes[0], size, 0))
+            out = jax.tree.map(lambda x: _fewer(x, size, 0), out)
+            return out, jax.tree.map(lambda _: True, out)
 
-        def flat_rate(x, s):
-            x = np.broadcast_to(x, (*lead, lanes, *s.shape))
-            x = np.transpose(x, (*kept, extra, *ahead, *range(extra + 1, x.ndim)))
-            return x.reshape(-1, directions, *s.shape)
+        return values
 
-        flat = [flat_leaf(x, s) for x, s in zip(leaves, self.sample, strict=True)]
-        moving = [
-            flat_rate(x, self.sample[k]) for k, x in zip(push.moved, rates, strict=True)
-        ]
-        out = []
-        for leaf in self._run_with_rates(push, flat, moving, directions):
-            # From lanes first and directions second to the order that was asked for.
-            shape = (*lanes_lead, lanes, *(lead[a] for a in ahead), *leaf.shape[2:])
-            order = [
-                kept.index(a) if a in kept else len(kept) + 1 + ahead.index(a)
-                for a in range(extra)
-            ]
-            rest = range(extra + 1, len(shape))
-            out.append(np.transpose(leaf.reshape(shape), (*order, len(kept), *rest)))
-        return out
+    def _pushed(self, moved: list[int]) -> Callable[..., tuple[Batch, list[Any]]]:
+        """From the samples, and the tangents of the leaves `moved` with a leading axis of
+        directions, to the results and the tangents of the real ones, all of one run.
+
+        Further axes are more lanes, or more directions where only the tangents have them:
+        the results do not have them either then."""
+        push = Derivative(self.plan, self.made, self.sample, self.program, moved)
+
+        def run(leaves, rates):
+            directions = len(rates[0])
+            program = push.program(directions, width())
+            rates = [np.moveaxis(np.asarray(x), 0, 1) for x in rates]
+            lane = [np.asarray(x) for x in leaves], rates
+            record, final = self._execute(program, {"lane": lane}, lane[0][0])
+            (record, record_rates), (final, final_rates) = record, final
+            rates = (np.moveaxis(x, 1, 0) for x in final_rates)
+            kept = (np.moveaxis(x, 2, 0) for x in record_rates)
+            return Batch(final, record), [*rates, *kept]
+
+        @jax.custom_batching.custom_vmap
+        def pushed(leaves, rates):
+            shapes = self._shapes(len(leaves[0]))
+            real = [s for s in jax.tree.leaves(shapes) if is_real(s)]
+            return jax.pure_callback(
+                run, (shapes, wide(real, len(rates[0]))), leaves, rates
+            )
+
+        @pushed.def_vmap
+        def batched(size, axes, leaves, rates):
+            lanes = any(axes[0])
+            if lanes:
+                leaves = _more(leaves, axes[0], size, 0)
+            out, tangent = pushed(leaves, _more(rates, axes[1], size, int(lanes)))
+            if lanes:
+                out = jax.tree.map(lambda x: _fewer(x, size, 0), out)
+            tangent = [_fewer(x, size, int(lanes)) for x in tangent]
+            return (out, tangent), (
+                jax.tree.map(lambda _: lanes, out),
+                [True] * len(tangent),
+            )
+
+        return pushed
+
+
+def _more(arrays: list[Any], batched: list[bool], size: int, axis: int) -> list[Any]:
+    """Arrays whose new leading axis, where they have one, becomes a part of `axis`, and
+    those without repeated along it."""
+
+    def folded(x, has):
+        x = x if has else jnp.broadcast_to(x, (size, *x.shape))
+        x = jnp.moveaxis(x, 0, axis)
+        return x.reshape(*x.shape[:axis], -1, *x.shape[axis + 2 :])
+
+    return [folded(x, has) for x, has in zip(arrays, batched, strict=True)]
+
+
+def _fewer(x: Any, size: int, axis: int) -> Any:
+    """Undoes [`_more`][]: the part of `axis` is a leading axis again."""
+    return jnp.moveaxis(x.reshape(*x.shape[:axis], size, -1, *x.shape[axis + 1 :]), axis, 0)
 
 
 def _with_integers(out: PyTree, tangent: list[Any]) -> PyTree:
