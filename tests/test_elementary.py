@@ -70,7 +70,7 @@ def evaluate(function, *arguments):
         lambda k, carry, inputs: ((), None),
         lambda carry, inputs: function(*inputs["lane"]),
     )
-    program = Program.of(bodies, {"lane": kinds}, 32)
+    program = Program.of(bodies, {"lane": kinds}, (32,))
     return program({"lane": arguments}, arguments[0].size, 1)[1]
 
 

@@ -27,7 +27,7 @@ def fused(function, *arguments):
         lambda k, carry, inputs: ((), None),
         lambda carry, inputs: function(*inputs["lane"]),
     )
-    program = Program.of(bodies, {"lane": kinds}, 8)
+    program = Program.of(bodies, {"lane": kinds}, (8,))
     _, found = program({"lane": tuple(x[None] for x in arguments)}, 1, 1)
     return jax.tree.map(lambda x: x[0], found)
 
@@ -158,7 +158,7 @@ def test_dead_code_is_left_out():
 
     bodies = Bodies(lambda i: (i["lane"], None), advance, lambda carry, i: carry)
     kind = jax.ShapeDtypeStruct((), np.float64)
-    program = Program.of(bodies, {"lane": kind}, 8)
+    program = Program.of(bodies, {"lane": kind}, (8,))
     assert program.operations == 1  # the cube is computed once, before the loop
     _, found = program({"lane": np.array([2.0, -1.0])}, 2, 5)
     np.testing.assert_array_equal(found, [42.0, -6.0])

@@ -21,7 +21,7 @@ def program(begin, advance, finish):
         lambda k, carry, inputs: (advance(k, carry, inputs["lane"]), None),
         lambda carry, inputs: finish(carry),
     )
-    return Program.of(bodies, {"lane": NUMBER}, 4)
+    return Program.of(bodies, {"lane": NUMBER}, (4,))
 
 
 def by_hand(begin, advance, finish, steps):

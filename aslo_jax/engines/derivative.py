@@ -1,6 +1,6 @@
 """The loops of a batch with their tangents, in some of the leaves of a sample."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -36,11 +36,11 @@ class Derivative:
         self._traced = trace(bodies, {"lane": self._lane(())})
         self._programs: dict[int, Program] = {}
 
-    def program(self, directions: int, width: int) -> Program:
+    def program(self, directions: int, widths: Sequence[int]) -> Program:
         """The loop of values and tangents, which returns pairs of both: of what is real,
         tangents with a leading axis of directions."""
         if directions not in self._programs:
-            self._programs[directions] = self._beside(directions, width)
+            self._programs[directions] = self._beside(directions, widths)
         return self._programs[directions]
 
     def _lane(self, lead: tuple[int, ...]) -> tuple[list, list[jax.ShapeDtypeStruct]]:
@@ -100,7 +100,7 @@ class Derivative:
 
     # -- several ones --------------------------------------------------------------------
 
-    def _beside(self, directions: int, width: int) -> Program:
+    def _beside(self, directions: int, widths: Sequence[int]) -> Program:
         traced, lead = self._traced, (directions,)
         tangents = wide([self.state_leaves[j] for j in self.carried], *lead)
         carry = (self.state_leaves, tangents)
@@ -134,7 +134,7 @@ class Derivative:
         record, final = (
             (values, wide(rates, *lead)) for values, rates in (traced.record, traced.final)
         )
-        return Program(loop, record, final, width)
+        return Program(loop, record, final, widths)
 
 
 def _flags(pair: tuple[PyTree, PyTree]) -> list[bool]:

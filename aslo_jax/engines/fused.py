@@ -12,8 +12,9 @@ from jaxtyping import PyTree
 
 from .._checks import is_concrete
 from .derivative import Derivative, is_real, wide
+from .host import widths
 from .plan import Batch, Plan
-from .program import Bodies, Program, width
+from .program import Bodies, Program
 
 
 class Fused:
@@ -58,7 +59,7 @@ class Fused:
             advance,
             lambda state, inputs: self.plan.results(state),
         )
-        return Program.of(bodies, {"lane": self.sample}, width())
+        return Program.of(bodies, {"lane": self.sample}, widths())
 
     def _run(self, leaves: list[Any]) -> Batch:
         leaves = [np.asarray(x) for x in leaves]
@@ -118,7 +119,7 @@ class Fused:
 
         def run(leaves, rates):
             directions = len(rates[0])
-            program = push.program(directions, width())
+            program = push.program(directions, widths())
             rates = [np.moveaxis(np.asarray(x), 0, 1) for x in rates]
             lane = [np.asarray(x) for x in leaves], rates
             record, final = self._execute(program, {"lane": lane}, lane[0][0])

@@ -23,6 +23,8 @@ FLAGS = "contract nsz arcp"
 BINARY = ("add", "sub", "mul", "div", "and", "or", "xor")
 SHIFTS = ("shl", "lshr", "ashr")
 COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")
+# A product and a sum, rounded once where the host can: which operand is negative.
+PRODUCTS = {"muladd": None, "mulsub": 2, "submul": 0}
 INTRINSICS = {
     "sqrt": "sqrt",
     "floor": "floor",
@@ -66,10 +68,10 @@ class Writer:
         return self.type(np.uint8 if np.dtype(dtype) == np.bool_ else dtype, vector)
 
     def constant(self, value: Any, dtype: Any, vector: bool) -> str:
-        literal = _literal(np.asarray(value).astype(dtype)[()])
+        one = literal(np.asarray(value).astype(dtype)[()])
         if not vector:
-            return literal
-        return f"<{', '.join([f'{self.type(dtype, False)} {literal}'] * self.width)}>"
+            return one
+        return f"<{', '.join([f'{self.type(dtype, False)} {one}'] * self.width)}>"
 
     def splat(self, scalar: str, dtype: Any) -> str:
         kind, wide = self.type(dtype, False), self.type(dtype, True)
@@ -102,6 +104,13 @@ class Writer:
             return self.call("abs", kind, x, "i1 false")
         if op in INTRINSICS:
             return self.call(INTRINSICS[op], kind, x)
+        if op in PRODUCTS:
+            sign = PRODUCTS[op]
+            x = [
+                self.define(f"fneg {FLAGS} {kind} {v}") if k == sign else v
+                for k, v in enumerate(x)
+            ]
+            return self.call("fmuladd", kind, x)
         if op == "select":
             which = self.type(np.bool_, vector)
             return self.define(f"select {which} {x[0]}, {kind} {x[1]}, {kind} {x[2]}")
@@ -146,7 +155,7 @@ class Writer:
         key = kind.encode() + stored.tobytes()
         if key not in self.tables:
             name, whole = f"@table{len(self.tables)}", f"[{len(stored)} x {kind}]"
-            entries = ", ".join(f"{kind} {_literal(x)}" for x in stored)
+            entries = ", ".join(f"{kind} {literal(x)}" for x in stored)
             self.tables[key] = name, f"{name} = private constant {whole} [{entries}]"
         name, _ = self.tables[key]
 
@@ -187,7 +196,7 @@ class Writer:
         return self.define(f"getelementptr {kind}, ptr {pointer}, i64 {index}")
 
 
-def _literal(value: Any) -> str:
+def literal(value: Any) -> str:
     if value.dtype == np.bool_:
         return "true" if value else "false"
     if value.dtype.kind == "f":  # a float32 is written as the double that it is

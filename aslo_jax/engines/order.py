@@ -38,6 +38,7 @@ class _Schedule:
     def __init__(self, graph: Graph, numbers: list[int]):
         self.graph, self.numbers = graph, numbers
         inside = set(numbers)
+        self.done: dict[int, int] = {}  # when a result is there
         self.args = {n: set(graph.nodes[n].args) & inside for n in numbers}
         self.users: dict[int, list[int]] = {n: [] for n in numbers}
         for n in numbers:
@@ -48,11 +49,23 @@ class _Schedule:
             after = max((self.chain[u] for u in self.users[n]), default=0)
             self.chain[n] = after + latency(graph.nodes[n])
         self.unused = {n: len(self.users[n]) for n in numbers}
+        # How many values more wait after a node than before it.
+        self.more = {n: self._waits(n) and bool(self.users[n]) for n in numbers}
+        for n in numbers:
+            if self.unused[n] == 1:
+                self._last_use(n)
+
+    def _waits(self, number: int) -> int:
+        return self.graph.nodes[number].op not in ("const", "input")
+
+    def _last_use(self, number: int) -> None:
+        """One node is left that uses a value: after it, the value waits no more."""
+        user = next(n for n in self.users[number] if n not in self.done)
+        self.more[user] -= self._waits(number)
 
     def order(self) -> list[int]:
         out: list[int] = []
         missing = {n: len(self.args[n]) for n in self.numbers}
-        done: dict[int, int] = {}  # when a result is there
         later = [(0, n) for n in self.numbers if not missing[n]]
         ready: set[int] = set()
         time = waiting = 0
@@ -65,28 +78,22 @@ class _Schedule:
             if waiting < WAITING:
                 number = max(ready, key=lambda n: (self.chain[n], -n))
             else:
-                number = min(ready, key=lambda n: (self._more(n), -self.chain[n], n))
+                number = min(ready, key=lambda n: (self.more[n], -self.chain[n], n))
             ready.remove(number)
             out.append(number)
-            waiting += self._more(number)
-            done[number] = time + latency(self.graph.nodes[number])
+            waiting += self.more[number]
+            self.done[number] = time + latency(self.graph.nodes[number])
             time += latency(self.graph.nodes[number]) > 0
             for a in self.args[number]:
                 self.unused[a] -= 1
+                if self.unused[a] == 1:
+                    self._last_use(a)
             for user in self.users[number]:
                 missing[user] -= 1
                 if not missing[user]:
-                    at = max(done[a] for a in self.args[user])
+                    at = max(self.done[a] for a in self.args[user])
                     heapq.heappush(later, (at, user))
         return out
-
-    def _more(self, number: int) -> int:
-        """How many values more wait after a node than before it."""
-        last = sum(self._waits(a) and self.unused[a] == 1 for a in self.args[number])
-        return (self._waits(number) and bool(self.users[number])) - last
-
-    def _waits(self, number: int) -> bool:
-        return self.graph.nodes[number].op not in ("const", "input")
 
 
 def latency(node: Node) -> int:

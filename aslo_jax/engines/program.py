@@ -3,22 +3,21 @@
 import ctypes
 import functools
 import itertools
-import os
 import threading
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from .._extras import require
 from .emit import emit
 from .flatten import flatten
 from .graph import Graph
+from .host import available_threads, compiled, register, run_in_threads
 from .loop import Loop
 from .reduce import reduced
+from .step import Body, Step, chosen
 from .timetable import timetable
 
 KINDS = ("shared", "lane", "log", "lane log")
@@ -104,14 +103,16 @@ class Program:
 
     It can be sent to other processes, which compile it for themselves."""
 
-    def __init__(self, loop: Loop, record: PyTree, final: PyTree, width: int):
+    def __init__(self, loop: Loop, record: PyTree, final: PyTree, widths: Sequence[int]):
         self.raw = loop
         self.record, self.final = record, final
-        self.width = width
+        self.widths = widths
 
     def __getstate__(self) -> dict[str, Any]:
         """Without machine code, and what is quickly made again."""
-        return {k: v for k, v in vars(self).items() if k not in ("_parts", "_kernels")}
+        return {
+            k: v for k, v in vars(self).items() if k not in ("_parts", "_step", "_kernels")
+        }
 
     @functools.cached_property
     def _parts(self) -> tuple[Loop, Loop | None]:
@@ -119,9 +120,20 @@ class Program:
 
     @functools.cached_property
     def _kernels(self) -> tuple[Callable[..., None], Callable[..., None] | None]:
-        loop, table = self._parts
-        tabulate = None if table is None else _compiled(emit(table, self.width))
-        return _compiled(emit(loop, self.width)), tabulate
+        _, table = self._parts
+        function = compiled(emit(self._step))
+        if table is None:
+            return function, None
+        return function, compiled(emit(Step(Body(table), self.width, register())))
+
+    @functools.cached_property
+    def _step(self) -> Step:
+        return chosen(self.loop, self.widths, register())
+
+    @property
+    def width(self) -> int:
+        """How many lanes the kernel advances at a time."""
+        return self._step.width
 
     @property
     def loop(self) -> Loop:
@@ -132,7 +144,9 @@ class Program:
         return self._parts[1]
 
     @classmethod
-    def of(cls, bodies: Bodies, inputs: dict[str, PyTree], width: int) -> "Program":
+    def of(
+        cls, bodies: Bodies, inputs: dict[str, PyTree], widths: Sequence[int]
+    ) -> "Program":
         """Of functions, traced for inputs of the given shapes."""
         traced = trace(bodies, inputs)
         given = Inputs(traced.carry, inputs)
@@ -143,7 +157,7 @@ class Program:
         finish = flatten(graph, traced.finish, [*given.carry, *given.fixed])
         parts = begin[:size], advance[:size], advance[size:], begin[size:], finish
         loop = Loop(graph, *map(flat, parts))
-        return cls(loop, traced.record, traced.final, width)
+        return cls(loop, traced.record, traced.final, widths)
 
     @property
     def operations(self) -> int:
@@ -307,36 +321,6 @@ def _gathered(columns: list[np.ndarray], tree: PyTree, lanes: int) -> PyTree:
     return jax.tree.unflatten(structure, found)
 
 
-# ---- threads and compilation ---------------------------------------------------------
-
-
-def available_threads() -> int:
-    """The processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-@functools.cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, thread_name_prefix="aslo_jax")
-
-
-def run_in_threads(
-    work: Callable[[tuple[int, int]], None],
-    spans: list[tuple[int, int]],
-    threads: int | None,
-) -> None:
-    """`work` on every span; the kernel releases the interpreter's lock."""
-    threads = available_threads() if threads is None else threads
-    if threads == 1 or len(spans) == 1:
-        for span in spans:
-            work(span)
-        return
-    for result in [_pool(threads).submit(work, span) for span in spans]:
-        result.result()
-
-
 def _spans(padded: int, width: int, threads: int | None) -> list[tuple[int, int]]:
     """Some pieces for each thread, so that none waits long for another."""
     threads = available_threads() if threads is None else threads
@@ -344,48 +328,3 @@ def _spans(padded: int, width: int, threads: int | None) -> list[tuple[int, int]
     pieces = min(blocks, 8 * threads if threads > 1 else 1)
     edges = [blocks * k // pieces * width for k in range(pieces + 1)]
     return [(a, b) for a, b in itertools.pairwise(edges) if b > a]
-
-
-@functools.cache
-def width() -> int:
-    """Lanes that a kernel advances at a time on this host, always as many, so that no bits
-    depend on it: as many vectors to a value as the registers bear. With 16 registers (AVX2)
-    two vectors of four doubles run 1.3 times as fast as eight of them; with 32 (AVX-512)
-    four of eight are the fastest."""
-    _machine()
-    llvm = require("llvmlite.binding", "study")
-    return 32 if llvm.get_host_cpu_features().get("avx512f") else 8
-
-
-@functools.cache
-def _machine() -> Any:
-    llvm = require("llvmlite.binding", "study")
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    return llvm.Target.from_default_triple()
-
-
-_SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 5, ctypes.c_void_p)
-
-
-@functools.lru_cache(maxsize=128)
-def _compiled(text: str) -> Callable[..., None]:
-    """The machine code of a kernel; the engine that owns it lives as long as it does."""
-    target = _machine()
-    llvm = require("llvmlite.binding", "study")
-    module = llvm.parse_assembly(text)
-    machine = target.create_target_machine(
-        cpu=llvm.get_host_cpu_name(),
-        features=llvm.get_host_cpu_features().flatten(),
-        opt=3,
-        jit=True,
-    )
-    engine = llvm.create_mcjit_compiler(module, machine)
-    engine.finalize_object()
-    function = _SIGNATURE(engine.get_function_address("kernel"))
-
-    def call(*arguments: Any) -> None:
-        function(*arguments)
-
-    call.engine = engine  # pyright: ignore[reportFunctionMemberAccess]
-    return call

@@ -11,7 +11,8 @@ from jaxtyping import Array, PyTree
 
 from .._checks import is_concrete
 from ..observers import AbstractObserver, ObserverState
-from .program import Bodies, Program, width
+from .host import widths
+from .program import Bodies, Program
 
 # Lanes for a single log, which is bound by the length of its chain of operations, so that
 # more of them gain nothing.
@@ -98,7 +99,7 @@ class _Replay:
             advance,
             lambda state, inputs: state,
         )
-        program = Program.of(bodies, shapes, ONE if lanes == 1 else width())
+        program = Program.of(bodies, shapes, (ONE,) if lanes == 1 else widths())
         return program(inputs, lanes, steps)
 
 
