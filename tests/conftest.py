@@ -6,6 +6,7 @@ the processes that a test starts through the environment.
 `aslo_jax` must not be imported here: the checks of its annotations are installed first.
 """
 
+import gc
 import os
 import shutil
 import tempfile
@@ -15,12 +16,14 @@ from pathlib import Path
 
 # Before JAX is imported. The programs of the tests are small and run once: LLVM on every
 # fusion by itself, through MLIR, and its higher levels cost more than they bring, a third
-# of the time of a test. Set it to nothing for the code that users run. XLA aborts on a flag
-# that it does not know; these two are known to every version from 0.6.1 to 0.10.
+# of the time of a test; and a program in one piece rather than in parts for threads, which
+# the workers have none of. Set it to nothing for the code that users run. XLA aborts on a
+# flag that it does not know; these are known to every version from 0.6.1 to 0.10.
 if tuple(map(int, version("jaxlib").split(".")[:2])) <= (0, 10):
     os.environ.setdefault(
         "XLA_FLAGS",
-        "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1",
+        "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1 "
+        "--xla_cpu_parallel_codegen_split_count=1",
     )
 
 import hypothesis
@@ -47,6 +50,10 @@ hypothesis.settings.register_profile(
     "fixed", derandomize=True, deadline=None, database=None
 )
 hypothesis.settings.load_profile("fixed")
+
+# Tracing makes objects by the million and hardly a cycle: looking for one after every 700
+# takes a tenth of the time.
+gc.set_threshold(100_000)
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -85,6 +92,11 @@ LONGEST = (
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     rank = {name: k for k, name in enumerate(LONGEST)}
     items.sort(key=lambda item: rank.get(item.path.stem, len(rank)))
+
+
+def pytest_collection_finish() -> None:
+    """What has been imported stays, and is not looked through again."""
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True, scope="module")
