@@ -44,15 +44,13 @@ def test_exact_start(name):
             "A-ASLO": velocity_observer(system, FAST, gain=7.0, form=form),
         }
         run = accurate(system, Held(name), observers, start, ts)
-        coasting = jnp.stack([e.coasting for e in run.estimates.values()])
-        return {each: run.error(each) for each in observers}, coasting
+        assert not any(e.coasting.any() for e in run.estimates.values())
+        return {each: jnp.abs(run.error(each)).max() for each in observers}
 
-    error, coasting = jax.vmap(errors)(jnp.stack([0.0 * friction, friction]))
-    assert jnp.abs(error["free"][0]).max() < 1e-8
-    assert jnp.abs(error["free"][1]).max() > 1e-3
-    assert jnp.abs(error["damped"]).max() < 1e-8
-    assert jnp.abs(error["A-ASLO"]).max() < 1e-8
-    assert not coasting.any()
+    # One after the other: compiled once for both, and in half the time of a batch.
+    without, error = errors(0.0 * friction), errors(friction)
+    assert max(*without.values(), error["damped"], error["A-ASLO"]) < 1e-8
+    assert error["free"] > 1e-3
 
 
 def damped(name, damping):
