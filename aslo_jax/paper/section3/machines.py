@@ -142,7 +142,9 @@ def graded(step: float, t1: float) -> dict:
     ends = np.append(0.0, np.cumsum(steps))
     ends = np.append(ends[ends < t1 - 1e-9], t1)
     return dict(
-        solver=diffrax.Dopri8(), stepsize_controller=diffrax.StepTo(jnp.asarray(ends))
+        solver=diffrax.Dopri8(),
+        stepsize_controller=diffrax.StepTo(jnp.asarray(ends)),
+        adjoint=diffrax.ForwardMode(),  # compiles faster
     )
 
 
