@@ -36,8 +36,13 @@ def relative(values, truth):
 
 def log(dt, t1=0.5, motion=MOTION):
     t = jnp.arange(round(t1 / dt) + 1) * dt
-    u = jax.vmap(motion.mean_voltage)(t, t + dt)
-    return t, u, jax.vmap(motion.current)(t), jax.vmap(motion.truth)(t)
+    return t, *_signals(motion, t, t + dt)
+
+
+@eqx.filter_jit
+def _signals(motion, t, end):
+    u = jax.vmap(motion.mean_voltage)(t, end)
+    return u, jax.vmap(motion.current)(t), jax.vmap(motion.truth)(t)
 
 
 def test_the_motion_solves_the_equations_of_the_bearing():
@@ -158,9 +163,9 @@ def test_velocity_is_exact_as_soon_as_the_fluxes_are_certified():
 def test_order_two_when_sampled():
     errors = []
     for dt in (4e-4, 2e-4):
-        t, u, y, truth = log(dt)
+        t, u, y, truth = log(dt, 2500 * dt)  # of one length: compiled once
         error = relative(aslo.replay(observer(), t, u, y).value, truth)
-        errors.append(jnp.sqrt(jnp.mean(error[t > 0.2] ** 2, axis=0)))
+        errors.append(jnp.sqrt(jnp.mean(error[(t > 0.2) & (t <= 0.5)] ** 2, axis=0)))
         assert error[t > 0.05].max() < 2e-3 * (dt / 4e-4) ** 2
     order = jnp.log2(jnp.stack(errors[:-1]) / jnp.stack(errors[1:]))
     assert ((order > 1.9) & (order < 2.1)).all(), errors

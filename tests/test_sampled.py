@@ -22,9 +22,13 @@ def prescribed_log(dt, t1=1.0):
     """A log of the prescribed motion whose held voltage gives the true change of flux to
     third order, so that what is measured is the observer's own order."""
     t = np.arange(round(t1 / dt) + 1) * dt
-    y = jax.vmap(MOTOR.current)(jnp.asarray(t))
-    u = jax.vmap(MOTOR.mean_voltage)(jnp.asarray(t), jnp.asarray(t + dt))
-    return t, u, y, jax.vmap(MOTOR.flux)(jnp.asarray(t))
+    return t, *_signals(t, t + dt)
+
+
+@jax.jit
+@jax.vmap
+def _signals(t, end):
+    return MOTOR.mean_voltage(t, end), MOTOR.current(t), MOTOR.flux(t)
 
 
 def held_log(dt, t1=1.0):
@@ -47,9 +51,9 @@ def test_order_two_in_the_interval(completion):
     observer = aslo.AlgebraicObserver(MOTOR.relation(), aslo.LowPass(20.0), completion)
     errors = []
     for dt in (2e-3, 1e-3, 5e-4, 2.5e-4):
-        t, u, y, flux = prescribed_log(dt)
+        t, u, y, flux = prescribed_log(dt, 4000 * dt)  # of one length: compiled once
         error = jnp.linalg.norm(aslo.replay(observer, t, u, y).value - flux, axis=1)
-        errors.append(float(jnp.sqrt(jnp.mean(error[t > 0.5] ** 2))))
+        errors.append(float(jnp.sqrt(jnp.mean(error[(t > 0.5) & (t <= 1.0)] ** 2))))
     assert ((order(errors) > 1.9) & (order(errors) < 2.1)).all(), errors
 
 
@@ -59,9 +63,9 @@ def test_order_two_with_a_held_input_and_a_general_filter():
         observer = aslo.AlgebraicObserver(relation, filter, aslo.Repeat())
         errors = []
         for dt in (1e-2, 5e-3, 2.5e-3):
-            t, u, y, x2 = held_log(dt)
+            t, u, y, x2 = held_log(dt, 400 * dt)
             error = aslo.replay(observer, t, u, y).value[:, 0] - x2
-            errors.append(float(jnp.abs(error[t > 0.3]).max()))
+            errors.append(float(jnp.abs(error[(t > 0.3) & (t <= 1.0)]).max()))
         assert ((order(errors) > 1.9) & (order(errors) < 2.1)).all(), errors
 
 
@@ -69,9 +73,10 @@ def test_the_asymptotic_observer_keeps_the_order():
     inner = aslo.AlgebraicObserver(MOTOR.relation(), aslo.LowPass(20.0))
     errors = []
     for dt in (1e-3, 5e-4, 2.5e-4):
-        t, u, y, flux = prescribed_log(dt)
+        t, u, y, flux = prescribed_log(dt, 4000 * dt)
         value = aslo.replay(aslo.Asymptotic(inner, 15.0), t, u, y).value
-        errors.append(float(jnp.linalg.norm((value - flux)[t > 0.7], axis=1).max()))
+        late = (t > 0.7) & (t <= 1.0)
+        errors.append(float(jnp.linalg.norm((value - flux)[late], axis=1).max()))
     assert ((order(errors) > 1.9) & (order(errors) < 2.1)).all(), errors
 
 
