@@ -15,14 +15,14 @@ from importlib.metadata import version
 from pathlib import Path
 
 # Before JAX is imported. The programs of the tests are small and run once: LLVM on every
-# fusion by itself, through MLIR, and its higher levels cost more than they bring, a third
-# of the time of a test; and a program in one piece rather than in parts for threads, which
-# the workers have none of. Set it to nothing for the code that users run. XLA aborts on a
-# flag that it does not know; these are known to every version from 0.6.1 to 0.10.
+# fusion by itself, through MLIR, its optimisation, and a program in parts for threads cost
+# more than they bring, half of the time of a test. Set it to nothing for the code that users
+# run. XLA aborts on a flag that it does not know; these are known to every version from
+# 0.6.1 to 0.10.
 if tuple(map(int, version("jaxlib").split(".")[:2])) <= (0, 10):
     os.environ.setdefault(
         "XLA_FLAGS",
-        "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1 "
+        "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0 "
         "--xla_cpu_parallel_codegen_split_count=1",
     )
 
