@@ -68,19 +68,17 @@ def test_the_loop_follows_with_measured_and_with_estimated_velocity(name):
     assert np.abs(found[measured] - found[estimated]).max() < close
 
 
+def simulated(observers, **settings):
+    """The leg in continuous time, compiled as a whole."""
+    run = lambda: aslo.simulate(SYSTEMS["leg"], LOOPS["leg"], observers, **settings)
+    return jax.jit(run)()
+
+
 def test_the_error_decays_as_designed():
     """`e'' + 2 w e' + w^2 e = 0` in continuous time, whatever the third coordinate does."""
     w, start = 4.0, state([1.3, -0.2, 0.4], [0.1, 0.5, -0.3])
     ts = jnp.array([0.0, 0.2, 0.7, 1.5])
-    result = aslo.simulate(
-        SYSTEMS["leg"],
-        LOOPS["leg"],
-        {},
-        t1=1.5,
-        ts=ts,
-        initial=start,
-        feedback=lambda y, x, estimates: MechanicalFeedback(y, x.velocity),
-    )
+    result = simulated({}, t1=1.5, ts=ts, initial=start, feedback=measured)
     error = wanted("leg", ts) - np.asarray(result.x.position)[:, :2]
     speed = np.array([0.2, 0.78]) - np.array([0.1, 0.5])
     for j in range(2):
@@ -91,13 +89,9 @@ def test_the_error_decays_as_designed():
 
 def test_fewer_inputs_than_coordinates_need_estimates_before_an_input():
     """The leg has three coordinates and two inputs: both loops know the shape of u."""
-    result = aslo.simulate(
-        SYSTEMS["leg"],
-        LOOPS["leg"],
-        {"ASLO": velocity_observer(SYSTEMS["leg"], aslo.LowPass(20.0))},
-        t1=4.0,
-        initial=STARTS["leg"],
-        feedback=estimated,
+    observer = velocity_observer(SYSTEMS["leg"], aslo.LowPass(20.0))
+    result = simulated(
+        {"ASLO": observer}, t1=4.0, initial=STARTS["leg"], feedback=estimated
     )
     assert result.u.shape == (1001, 2)
     error = wanted("leg", result.t) - np.asarray(result.x.position)[:, :2]
