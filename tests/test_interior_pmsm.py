@@ -15,22 +15,35 @@ from aslo_jax.plants import InteriorPMSM
 LQ = 40.03e-3
 
 
-def motion(direct_inductance=LQ - 4e-3, ripple=1.0, frequency=9.0, speed=30.0):
-    """A motor of the size of the paper's at about `speed` (rad/s) with a d current that
-    ripples at `frequency` (rad/s) by `ripple` (A)."""
-    motor = InteriorPMSM(8.875, direct_inductance, LQ, 0.2086, 5, 60e-6)
+class Angle(eqx.Module):
+    """Mechanical, at about `speed` (rad/s)."""
 
-    def angle(t):
-        return speed * t + 0.5 * (1 - jnp.cos(t)) + 0.06
+    speed: jax.Array = eqx.field(converter=jnp.asarray)
 
-    def current(t):
-        theta = motor.pole_pairs * angle(t)
-        d, q = -0.2 + ripple * jnp.sin(frequency * t), 1 + 0.3 * jnp.sin(3 * t)
+    def __call__(self, t):
+        return self.speed * t + 0.5 * (1 - jnp.cos(t)) + 0.06
+
+
+class Rippled(eqx.Module):
+    """A d current that ripples at `frequency` (rad/s) by `ripple` (A)."""
+
+    angle: Angle
+    ripple: jax.Array = eqx.field(converter=jnp.asarray)
+    frequency: jax.Array = eqx.field(converter=jnp.asarray)
+
+    def __call__(self, t):
+        theta = 5 * self.angle(t)
+        d, q = -0.2 + self.ripple * jnp.sin(self.frequency * t), 1 + 0.3 * jnp.sin(3 * t)
         d_axis = jnp.stack([jnp.cos(theta), jnp.sin(theta)])
         q_axis = jnp.stack([-jnp.sin(theta), jnp.cos(theta)])
         return d * d_axis + q * q_axis
 
-    return Prescribed(motor, angle, current)
+
+def motion(direct_inductance=LQ - 4e-3, ripple=1.0, frequency=9.0, speed=30.0):
+    """A motor of the size of the paper's. Modules, not closures: compiled once for all."""
+    motor = InteriorPMSM(8.875, direct_inductance, LQ, 0.2086, 5, 60e-6)
+    angle = Angle(speed)
+    return Prescribed(motor, angle, Rippled(angle, ripple, frequency))
 
 
 def error(observer, motion, ts, **settings):
@@ -49,7 +62,7 @@ def test_without_the_d_current_the_error_is_linear_in_saliency_and_ripple():
         return error(observer, m, ts, rtol=1e-9).max()
 
     cases = [(0.0, 1.0), (-0.5e-3, 1.0), (-4e-3, 1.0), (-4e-3, 0.5), (-4e-3, 0.0)]
-    found = jax.vmap(largest)(*jnp.array(cases).T)
+    found = [largest(*case) for case in cases]
     np.testing.assert_allclose(found[1:3], [2.8e-5, 2.2e-4], rtol=0.1)
     np.testing.assert_allclose(found[3], found[2] / 2, rtol=0.02)
     assert found[0] < 1e-9 and found[4] < 1e-9
@@ -72,21 +85,19 @@ def consistent(m, initial, rate=70.0, gain=50.0, **settings):
 def test_with_its_own_d_current_the_flux_is_exact_after_a_second():
     """From no flux, from the opposite one, from seven times too much, to Lq/Ld = 3.3."""
     ts = jnp.array([0.05, 1.0, 1.5])
-    ratios = jnp.array([1.0, 1.5, 3.3, 3.3, 3.3])
+    ratios = (1.0, 1.5, 3.3, 3.3, 3.3)
     starts = jnp.array([[0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [-0.2, -0.1], [1.0, -1.0]])
 
-    def relative(ratio, initial):
+    for ratio, initial in zip(ratios, starts, strict=True):
         m = motion(LQ / ratio)
-        return error(consistent(m, initial), m, ts, rtol=1e-10) / 0.2086
-
-    found = jax.vmap(relative)(ratios, starts)
-    assert found[:, 1:].max() < 1e-8
-    assert found[:, 0].min() > 1e-2
+        found = error(consistent(m, initial), m, ts, rtol=1e-10) / 0.2086
+        assert found[1:].max() < 1e-8
+        assert found[0] > 1e-2
 
 
 def test_from_the_truth_it_stays_there():
     m = motion(LQ / 3.3)
-    ts = jnp.array([0.1, 0.5])
+    ts = jnp.array([0.05, 0.1, 0.5])
     truth = m.flux(jnp.zeros(()))
     assert error(consistent(m, truth), m, ts, rtol=1e-10).max() < 1e-9
 
@@ -110,18 +121,23 @@ def test_a_start_that_is_forgotten_costs_no_more_than_the_saliency(ratio):
 
 def log(m, dt, t1):
     t = jnp.arange(round(t1 / dt) + 1) * dt
-    return t, jax.vmap(m.mean_voltage)(t, t + dt), jax.vmap(m.current)(t)
+    return t, *_signals(m, t, t + dt)
+
+
+@eqx.filter_jit
+def _signals(m, t, end):
+    return jax.vmap(m.mean_voltage)(t, end), jax.vmap(m.current)(t)
 
 
 @pytest.mark.parametrize("forget", [False, True])
 def test_order_two_when_sampled(forget):
     m, errors = motion(LQ / 2), []
     for dt in (4e-4, 2e-4):
-        t, u, y = log(m, dt, 1.0)
+        t, u, y = log(m, dt, 5000 * dt)  # of one length: compiled once
         observer = consistent(m, jnp.zeros(2), forget=forget)
         value = aslo.replay(observer, t, u, y).value
         error = jnp.linalg.norm(value - jax.vmap(m.flux)(t), axis=1)
-        errors.append(jnp.sqrt(jnp.mean(error[t > 0.6] ** 2)))
+        errors.append(jnp.sqrt(jnp.mean(error[(t > 0.6) & (t <= 1.0)] ** 2)))
     assert 1.9 < np.log2(errors[0] / errors[1]) < 2.1, errors
 
 
