@@ -14,8 +14,8 @@ from aslo_jax.tune import calibrate
 def record(motion, current, mean, interval, rows, noise, seed=0):
     """t, u and y of a motion, with white noise on y (of its rms)."""
     t = interval * jnp.arange(rows)
-    y = np.asarray(jax.vmap(current)(t))
-    u = np.asarray(jax.vmap(mean)(t, t + interval))
+    both = jax.jit(jax.vmap(lambda t: (mean(t, t + interval), current(t))))
+    u, y = (np.asarray(x) for x in both(t))
     size = noise * np.sqrt(np.mean(y**2, axis=0))
     return np.asarray(t), u, y + size * np.random.default_rng(seed).standard_normal(y.shape)
 
