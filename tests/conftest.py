@@ -77,15 +77,15 @@ def pytest_configure(config: pytest.Config) -> None:
 LONGEST = (
     "test_battery",
     "test_notebooks",
-    "test_paper_section4",
+    "test_velocity",
     "test_docs",
     "test_paper_section3",
-    "test_velocity",
-    "test_paper_section2",
     "test_engines",
-    "test_experiment",
-    "test_peers",
-    "test_extended_kalman",
+    "test_paper_section4",
+    "test_tune",
+    "test_tracking",
+    "test_tune_study",
+    "test_study",
 )
 
 

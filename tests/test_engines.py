@@ -359,7 +359,7 @@ def test_forward_derivatives_are_those_of_scan():
 
 
 def test_derivatives_under_jit_and_vmap():
-    """Of a chain: a motor, as above, takes five times as long to compile, and each of
+    """Of a chain: a motor, as above, takes several times as long to compile, and each of
     these compiles anew."""
     chain = aslo.plants.IntegratorChain(2)
 
