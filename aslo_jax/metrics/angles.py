@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from .._checks import nonnegative, real
 from ..experiment import Record
 from ..observers import electrical_angle, wrap
-from .base import AbstractMetric, size
+from .base import AbstractComposed, size
 from .functions import Maximum, Mean
 
 
@@ -36,7 +36,7 @@ class RotorAngle(eqx.Module):
         return self.pole_pairs * record.x.angle
 
 
-class AngleError(AbstractMetric):
+class AngleError(AbstractComposed):
     """The root of the mean squared difference of two angles from `after` (s) on, in
     electrical degrees, each difference taken within half a turn. Infinite where an angle
     was not finite.
@@ -53,22 +53,16 @@ class AngleError(AbstractMetric):
     def __check_init__(self):
         nonnegative("after", self.after)
 
-    def init(self, record):
-        return self._mean().init(record)
-
-    def update(self, state, record):
-        return self._mean().update(state, record)
-
     def result(self, state):
-        return size(jnp.sqrt(self._mean().result(state)))
+        return size(jnp.sqrt(self.inner().result(state)))
 
-    def _mean(self) -> Mean:
+    def inner(self) -> Mean:
         return Mean(
             lambda r: degrees_between(self.estimate(r), self.truth(r)) ** 2, self.after
         )
 
 
-class PeakAngleError(AbstractMetric):
+class PeakAngleError(AbstractComposed):
     """As [`AngleError`][], but the largest difference in magnitude."""
 
     estimate: Callable[[Record], Float[Array, ""]]
@@ -78,16 +72,10 @@ class PeakAngleError(AbstractMetric):
     def __check_init__(self):
         nonnegative("after", self.after)
 
-    def init(self, record):
-        return self._maximum().init(record)
-
-    def update(self, state, record):
-        return self._maximum().update(state, record)
-
     def result(self, state):
         return jnp.maximum(state, 0.0)
 
-    def _maximum(self) -> Maximum:
+    def inner(self) -> Maximum:
         return Maximum(
             lambda r: size(degrees_between(self.estimate(r), self.truth(r))), self.after
         )

@@ -30,6 +30,20 @@ class AbstractMetric(eqx.Module):
         """The metric, from the last state."""
 
 
+class AbstractComposed(AbstractMetric):
+    """A metric that is made of the result of another."""
+
+    @abc.abstractmethod
+    def inner(self) -> AbstractMetric:
+        """The metric that runs."""
+
+    def init(self, record):
+        return self.inner().init(record)
+
+    def update(self, state, record):
+        return self.inner().update(state, record)
+
+
 def error_of(record: Record, observer: str) -> Float[Array, " n"]:
     """Estimate less truth, in the units of the state."""
     return record.estimates[observer].value - record.hidden

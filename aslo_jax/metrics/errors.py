@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import nonnegative, real
-from .base import AbstractMetric, counts, error_of, size, squares_of
+from .base import AbstractComposed, AbstractMetric, counts, error_of, size, squares_of
 from .functions import Integral, Mean
 
 
@@ -83,7 +83,7 @@ class FinalError(AbstractMetric):
         return size(jnp.sqrt(jnp.sum(state * state))) if self.norm else state
 
 
-class MeanError(AbstractMetric):
+class MeanError(AbstractComposed):
     """The bias of `observer`: its mean error from `after` (s) on, in the units of the
     estimate, shape `(n,)`, or the Euclidean `norm` of that. Not finite where the error was
     not."""
@@ -95,21 +95,15 @@ class MeanError(AbstractMetric):
     def __check_init__(self):
         nonnegative("after", self.after)
 
-    def init(self, record):
-        return self._mean().init(record)
-
-    def update(self, state, record):
-        return self._mean().update(state, record)
-
     def result(self, state):
-        mean = self._mean().result(state)
+        mean = self.inner().result(state)
         return jnp.sqrt(jnp.sum(mean * mean)) if self.norm else mean
 
-    def _mean(self) -> Mean:
+    def inner(self) -> Mean:
         return Mean(lambda record: error_of(record, self.observer), self.after)
 
 
-class IntegralSquaredError(AbstractMetric):
+class IntegralSquaredError(AbstractComposed):
     """The integral over time of the squared error of `observer` from `after` (s) on, in
     squared units of the estimate times seconds: of each of its entries, or of the Euclidean
     `norm`. Infinite where the error was not finite."""
@@ -121,14 +115,8 @@ class IntegralSquaredError(AbstractMetric):
     def __check_init__(self):
         nonnegative("after", self.after)
 
-    def init(self, record):
-        return self._integral().init(record)
-
-    def update(self, state, record):
-        return self._integral().update(state, record)
-
     def result(self, state):
-        return size(self._integral().result(state))
+        return size(self.inner().result(state))
 
-    def _integral(self) -> Integral:
+    def inner(self) -> Integral:
         return Integral(lambda r: squares_of(r, self.observer, self.norm), self.after)
