@@ -439,6 +439,25 @@ def test_single_precision():
         np.testing.assert_allclose(x, y, rtol=1e-3, atol=1e-3 * np.abs(y).max())
 
 
+def test_a_runner_is_as_precise_as_jax():
+    """Made like doubles while JAX has none."""
+    with jax.enable_x64(False):
+        chain = aslo.plants.IntegratorChain(2)
+        command = aslo.control.OpenLoop(lambda t: jnp.cos(9.0 * t))
+
+        def make(rate):
+            observer = aslo.AlgebraicObserver(chain.relation(), aslo.LowPass(rate))
+            return aslo.Experiment(chain, command, {"speed": observer}, 1e-2)
+
+        keep = lambda r: r.estimates["speed"].value
+        like = jax.ShapeDtypeStruct((), np.float64)
+        runner = aslo.Runner(make, like, 20, record=keep, engine="fused")
+        found = runner(np.array([3.0, 5.0])).record
+        expected = run_batch(make, jnp.array([3.0, 5.0]), 20, record=keep, engine="scan")
+        assert found.dtype == jnp.float32 and np.isfinite(found).all()
+        np.testing.assert_allclose(found, expected.record, rtol=1e-3, atol=1e-3)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

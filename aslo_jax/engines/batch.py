@@ -163,7 +163,9 @@ def run_batch(
 
 def _shape(x: Any) -> jax.ShapeDtypeStruct:
     x = x if isinstance(x, jax.ShapeDtypeStruct) else jnp.asarray(x)
-    return jax.ShapeDtypeStruct(x.shape, x.dtype)
+    # In single precision where JAX is, as the samples will be.
+    dtype = jax.dtypes.canonicalize_dtype(x.dtype, allow_extended_dtype=True)
+    return jax.ShapeDtypeStruct(x.shape, dtype)
 
 
 def _lanes(samples: PyTree) -> int:
