@@ -13,19 +13,25 @@ from ..machines import AbstractDescription, read_machine
 from ..machines.calibrated import calibrate_machine, rewritten, values_of
 from ..tune import Calibration
 from . import table
-from .estimate import _mapping
+from .options import (
+    BeforeAndAfter,
+    Columns,
+    LogFile,
+    MachineFile,
+    MaxGap,
+    QuietTable,
+    mapping,
+)
 from .outputs import refuse_overlap, staged
 
 DOUBTFUL = 0.3  # of a correlation
 
 
 def calibrate(
-    log: Annotated[Path, typer.Argument(help="The log: .csv, .parquet or .npz.")],
-    machine: Annotated[Path, typer.Option(help="The machine, a TOML file.")],
+    log: LogFile,
+    machine: MachineFile,
     out: Annotated[Path, typer.Option(help="The machine with what was found: .toml.")],
-    plot: Annotated[
-        Path | None, typer.Option(help="A figure, before and after: .png, .pdf or .svg.")
-    ] = None,
+    plot: BeforeAndAfter = None,
     parameter: Annotated[
         list[str] | None,
         typer.Option(
@@ -33,13 +39,7 @@ def calibrate(
             "observer depends on."
         ),
     ] = None,
-    column: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=COLUMN",
-            help="What the log calls a column, for instance u_alpha=Ualpha; repeatable.",
-        ),
-    ] = None,
+    column: Columns = None,
     cutoff: Annotated[
         float | None,
         typer.Option(
@@ -53,13 +53,8 @@ def calibrate(
             "than this share of it."
         ),
     ] = 0.01,
-    max_gap: Annotated[
-        float | None,
-        typer.Option(help="Longest interval allowed (s); by default ten median ones."),
-    ] = None,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Neither table nor progress.")
-    ] = False,
+    max_gap: MaxGap = None,
+    quiet: QuietTable = False,
 ) -> None:
     """Find the parameters of a machine from a LOG without ground truth.
 
@@ -82,7 +77,7 @@ def calibrate(
         require("matplotlib", "cli,plot")
     description = read_machine(machine)
     with staged(*outputs.values()) as parts:
-        columns = _mapping(column or [])
+        columns = mapping(column)
         recorded = read_log(
             log, description.signals, columns=columns, truth=False, max_gap=max_gap
         )

@@ -14,6 +14,7 @@ from .._extras import require
 from ..logs import Log, check_suffix, read_log, write_table
 from ..machines import KINDS, AbstractDescription, MachineError, Quantity, read_machine
 from . import table
+from .options import Columns, LogFile, MachineFile, MaxGap, QuietSummary, mapping
 from .outputs import refuse_overlap, staged
 
 
@@ -58,19 +59,13 @@ carried along its known derivative); and, where the log has truth, for scoring o
 
 
 def estimate(
-    log: Annotated[Path, typer.Argument(help="The log: .csv, .parquet or .npz.")],
-    machine: Annotated[Path, typer.Option(help="The machine, a TOML file.")],
+    log: LogFile,
+    machine: MachineFile,
     out: Annotated[Path, typer.Option(help="The table: .csv, .parquet or .npz.")],
     plot: Annotated[
         Path | None, typer.Option(help="A figure as well: .png, .pdf or .svg.")
     ] = None,
-    column: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=COLUMN",
-            help="What the log calls a column, for instance u_alpha=Ualpha; repeatable.",
-        ),
-    ] = None,
+    column: Columns = None,
     cutoff: Annotated[
         float | None,
         typer.Option(
@@ -92,16 +87,11 @@ def estimate(
             help="Steps per sampling interval, between which outputs are interpolated.",
         ),
     ] = 4,
-    max_gap: Annotated[
-        float | None,
-        typer.Option(help="Longest interval allowed (s); by default ten median ones."),
-    ] = None,
+    max_gap: MaxGap = None,
     truth: Annotated[
         bool, typer.Option(help="Read the truth columns, where there are any, and score.")
     ] = True,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Neither summary nor progress.")
-    ] = False,
+    quiet: QuietSummary = False,
 ) -> None:
     """Estimate the states of a machine over a log; its help is [`HELP`][]."""
     given = {"cutoff": cutoff, "pll_bandwidth": pll_bandwidth}
@@ -127,7 +117,7 @@ def estimate(
         recorded = read_log(
             log,
             description.signals,
-            columns=_mapping(column or []),
+            columns=mapping(column),
             truth=truth,
             max_gap=max_gap,
         )
@@ -148,23 +138,6 @@ def estimate(
 
 def _option(name: str) -> str:
     return "--" + name.replace("_", "-")
-
-
-def _mapping(options: list[str]) -> dict[str, str]:
-    columns: dict[str, str] = {}
-    for option in options:
-        name, equals, actual = option.partition("=")
-        if not (name and equals and actual):
-            raise ValueError(
-                f"--column must have the form NAME=COLUMN, for instance u_alpha=Ualpha, "
-                f"but is {option!r}."
-            )
-        if name in columns:
-            raise ValueError(
-                f"--column gives `{name}` twice, {columns[name]} and {actual}; keep one."
-            )
-        columns[name] = actual
-    return columns
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from .._extras import require
 from ..study import open_study, run
 from ..study.cluster import local_cluster
 from ..study.config import NAMES, Configuration, read_configuration
+from .options import QuietSummary
 
 if TYPE_CHECKING:
     from ..study.sensitivity import Index
@@ -80,9 +81,7 @@ def study(
             help="Sobol indices of the rms error, in the terminal and in the report.",
         ),
     ] = False,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Neither summary nor progress.")
-    ] = False,
+    quiet: QuietSummary = False,
 ) -> None:
     """Run a study; its help is [`HELP`][]."""
     if cluster is not None and workers is not None:

@@ -12,15 +12,14 @@ from ..logs import read_log
 from ..machines.file import KINDS
 from ..study.config import configure
 from ..tune.configured import Tuned, calibrate_study, changed, tune_study
+from .options import BeforeAndAfter, QuietTable
 from .outputs import refuse_overlap, staged
 
 
 def tune(
     config: Annotated[Path, typer.Argument(help="A study's file: .toml.")],
     out: Annotated[Path, typer.Option(help="The file with the tuned gains: .toml.")],
-    plot: Annotated[
-        Path | None, typer.Option(help="A figure, before and after: .png, .pdf or .svg.")
-    ] = None,
+    plot: BeforeAndAfter = None,
     gain: Annotated[
         list[str] | None,
         typer.Option(
@@ -42,9 +41,7 @@ def tune(
     after: Annotated[
         float, typer.Option(min=0.0, help="From when on errors count (s).")
     ] = 0.0,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Neither table nor progress.")
-    ] = False,
+    quiet: QuietTable = False,
 ) -> None:
     """Tune the gains of the observers of a study.
 

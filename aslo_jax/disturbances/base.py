@@ -69,39 +69,32 @@ class AbstractDisturbance(eqx.Module):
         """The instants in (t0, t1) at which it jumps (s), for the solver to stop at."""
 
 
-class AbstractMemoryless(AbstractDisturbance):
+class AbstractAtSamples(AbstractDisturbance):
+    """A disturbance with nothing to integrate and without jumps of its own."""
+
+    def vector_field(self, t, state, signal, output=None):
+        del t, state, signal, output
+
+    @property
+    def has_jumps(self):
+        return False
+
+    def jumps(self, t0, t1):
+        del t0, t1
+        return np.empty(0)
+
+
+class AbstractMemoryless(AbstractAtSamples):
     """A disturbance without a state and without jumps: only `__call__` is left to say."""
 
     def init(self, t, signal, output=None):
         del t, signal, output
         return DisturbanceState()
 
-    def vector_field(self, t, state, signal, output=None):
-        del t, state, signal, output
-
     def update(self, t, state, signal, output=None):
         del t, state, signal, output
 
-    @property
-    def has_jumps(self):
-        return False
 
-    def jumps(self, t0, t1):
-        del t0, t1
-        return np.empty(0)
-
-
-class AbstractSampled(AbstractDisturbance):
+class AbstractSampled(AbstractAtSamples):
     """A disturbance whose state changes at the samples only: `init`, `update` and
     `__call__` are left to say. It needs an [`Experiment`][]; `simulate` has no samples."""
-
-    def vector_field(self, t, state, signal, output=None):
-        del t, state, signal, output
-
-    @property
-    def has_jumps(self):
-        return False
-
-    def jumps(self, t0, t1):
-        del t0, t1
-        return np.empty(0)
