@@ -76,3 +76,12 @@ def nonnegative(name: str, x: Array | np.ndarray | float) -> None:
         raise ValueError(
             f"Argument `{name}` must be finite and not negative, but got {value.tolist()}."
         )
+
+
+def divides(every: int, steps: int) -> None:
+    """Refuse to record every so manyth of `steps` where that misses the last."""
+    if steps < 1 or every < 1 or steps % every:
+        raise ValueError(
+            "Argument `every` must divide `steps`, both at least 1, but got "
+            f"steps = {steps}, every = {every}."
+        )

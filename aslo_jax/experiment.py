@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
-from ._checks import positive, real
+from ._checks import divides, positive, real
 from .control import AbstractController
 from .disturbances import AbstractDisturbance, DisturbanceState, check_streams
 from .observers import AbstractObserver, ObserverState
@@ -135,11 +135,7 @@ class Experiment(eqx.Module):
     def run(self, steps: int, every: int = 1) -> Record:
         """Run `steps` intervals and record every `every`-th sample, the first included:
         leaves with a leading axis of length `steps // every + 1`."""
-        if steps < 1 or every < 1 or steps % every:
-            raise ValueError(
-                "Argument `every` must divide `steps`, both at least 1, but got "
-                f"steps = {steps}, every = {every}."
-            )
+        divides(every, steps)
         return _run(self, steps, every)
 
     def _first(self, t, y, u):

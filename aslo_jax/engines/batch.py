@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PyTree
 
+from .._checks import divides
 from ..experiment import Experiment, Record
 from ..metrics import AbstractMetric
 from .flatten import NotFusible
@@ -53,11 +54,7 @@ class Runner:
         block: int | None = None,
     ):
         every = steps if every is None else every
-        if steps < 1 or every < 1 or steps % every:
-            raise ValueError(
-                "Argument `every` must divide `steps`, both at least 1, but got "
-                f"steps = {steps}, every = {every}."
-            )
+        divides(every, steps)
         if engine not in ("auto", "fused", "scan"):
             raise ValueError(
                 f'Argument `engine` must be "auto", "fused" or "scan", but got {engine!r}.'
