@@ -10,6 +10,7 @@ import pytest
 
 import aslo_jax as aslo
 from aslo_jax.engines import NotFusible
+from aslo_jax.engines.flatten import flatten
 from aslo_jax.engines.graph import Graph
 from aslo_jax.engines.program import Bodies, Program
 
@@ -162,3 +163,32 @@ def test_dead_code_is_left_out():
     assert program.operations == 1  # the cube is computed once, before the loop
     _, found = program({"lane": np.array([2.0, -1.0])}, 2, 5)
     np.testing.assert_array_equal(found, [42.0, -6.0])
+
+
+SIGNS = {
+    "(-a) b": (lambda a, b: -a * b, lambda a, b: -(a * b)),
+    "a (-b)": (lambda a, b: a * -b, lambda a, b: -(a * b)),
+    "(-a) (-b)": (lambda a, b: -a * -b, lambda a, b: a * b),
+    "(-a) / b": (lambda a, b: -a / b, lambda a, b: -(a / b)),
+    "a / (-b)": (lambda a, b: a / -b, lambda a, b: -(a / b)),
+    "(-a) + b": (lambda a, b: -a + b, lambda a, b: b - a),
+    "a + (-b)": (lambda a, b: a + -b, lambda a, b: a - b),
+    "(-a) + (-b)": (lambda a, b: -a + -b, lambda a, b: -(a + b)),
+    "(-a) - b": (lambda a, b: -a - b, lambda a, b: -(a + b)),
+    "a - (-b)": (lambda a, b: a - -b, lambda a, b: a + b),
+    "(-a) - (-b)": (lambda a, b: -a - -b, lambda a, b: b - a),
+    "-(a - b)": (lambda a, b: -(a - b), lambda a, b: b - a),
+}
+
+
+@pytest.mark.parametrize("name", SIGNS)
+def test_signs_are_a_part_of_another_operation(name):
+    """The same nodes, and the same numbers to the last bit."""
+    graph, kinds = Graph(), (jax.ShapeDtypeStruct((), np.float64),) * 2
+    inputs = [np.asarray(graph.input(np.float64, ("lane", k))) for k in range(2)]
+    first, second = (
+        flatten(graph, jax.make_jaxpr(f)(*kinds), inputs)[0] for f in SIGNS[name]
+    )
+    assert first == second
+    a, b = 1.3, -0.7
+    assert SIGNS[name][0](a, b) == SIGNS[name][1](a, b)

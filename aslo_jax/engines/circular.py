@@ -36,7 +36,7 @@ def _circular(x: Expression) -> tuple[Expression, Expression, Expression]:
     n = shifted - magic
     r = x
     for part in form.half_pi:
-        r = (-n).times_plus(part, r)
+        r = n.times_plus(-part, r)
     z = r * r
     sine = (r * z).times_plus(horner(z, SIN), r)
     cosine = horner(z, (*COS, -0.5, 1.0))

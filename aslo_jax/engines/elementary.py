@@ -64,7 +64,7 @@ def _scaled(x: Expression, n: Expression) -> Expression:
 def _reduced(x: Expression) -> tuple[Expression, Expression]:
     n = (x * (1.0 / math.log(2.0))).rint()
     high, low = format_of(x).ln2
-    return n, (-n).times_plus(low, (-n).times_plus(high, x))
+    return n, n.times_plus(-low, n.times_plus(-high, x))
 
 
 def _clamped(x: Expression) -> Expression:

@@ -180,10 +180,16 @@ class Graph:
         sign of a zero may be lost."""
         if len(args) == 1:
             inner = self.nodes[args[0]]
-            undone = op in ("neg", "not") and inner.op == op
-            return inner.args[0] if undone else None
+            if op in ("neg", "not") and inner.op == op:
+                return inner.args[0]
+            if op == "neg" and inner.dtype.kind == "f" and inner.op == "sub":
+                return self.op("sub", *inner.args[::-1])
+            return None
         x, y = args
         a, b = values
+        signs = self._signs(op, x, y)
+        if signs is not None:
+            return signs
         if op == "add":
             return (
                 y if a is not None and a == 0 else x if b is not None and b == 0 else None
@@ -216,6 +222,26 @@ class Graph:
             for value, constant, other in ((a, x, y), (b, y, x)):
                 if value is not None:
                     return other if bool(value) == (op == "and") else constant
+        return None
+
+    def _signs(self, op: str, x: int, y: int) -> int | None:
+        """Of real numbers, one of which is a negative: with the sign after the operation,
+        or as a part of it, both of which are exact."""
+        left, right = (
+            self.nodes[n].args[0] if self.nodes[n].op == "neg" else None for n in (x, y)
+        )
+        if self.dtype(x).kind != "f" or left is right is None:
+            return None
+        if op in ("mul", "div"):
+            whole = self.op(op, x if left is None else left, y if right is None else right)
+            both = left is not None and right is not None
+            return whole if both else self.op("neg", whole)
+        if op in ("add", "sub") and right is not None:
+            return self.op("sub" if op == "add" else "add", x, right)
+        if op == "add" and left is not None:
+            return self.op("sub", y, left)
+        if op == "sub" and left is not None:
+            return self.op("neg", self.op("add", left, y))
         return None
 
     def _product(self, value: Any, other: int) -> int | None:
