@@ -157,9 +157,9 @@ def test_scan_runs_in_blocks():
 def test_a_study_is_compiled_when_it_runs(monkeypatch):
     """Not where it is traced only, as by the client of a cluster; and once for all chunks,
     also where it was sent to."""
-    compiled, compile_it = [], program._compiled
+    compiled, compile_it = [], program.compiled
     monkeypatch.setattr(
-        program, "_compiled", lambda text: compiled.append(text) or compile_it(text)
+        program, "compiled", lambda text: compiled.append(text) or compile_it(text)
     )
     study = study_of(samples=3 * BLOCK)
     sent = cloudpickle.loads(cloudpickle.dumps(study))
