@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from aslo_jax.engines.graph import Graph
-from aslo_jax.engines.order import ordered
+from aslo_jax.engines.order import depth_first, ordered
 from aslo_jax.engines.program import Bodies, Program
 
 pytest.importorskip("llvmlite")
@@ -139,7 +139,10 @@ def test_the_order_has_arguments_first():
         graph.op(op, *(int(n) for n in rng.choice(numbers[-20:], 2)))
         numbers.append(len(graph.nodes) - 1)
     numbers = sorted(set(numbers))
-    found = ordered(graph, numbers)
-    assert sorted(found) == numbers
-    place = {n: k for k, n in enumerate(found)}
-    assert all(place[a] < place[n] for n in numbers for a in graph.nodes[n].args)
+    needed = graph.reachable(numbers[::7])
+    every = ordered(graph, numbers)
+    deep = depth_first(graph, numbers[::7], set(numbers))
+    for found, expected in ((every, numbers), (deep, needed)):
+        assert sorted(found) == expected
+        place = {n: k for k, n in enumerate(found)}
+        assert all(place[a] < place[n] for n in found for a in graph.nodes[n].args)
