@@ -1,5 +1,6 @@
 """What depends on the host: its processors, its vector registers, its machine code."""
 
+import collections
 import ctypes
 import functools
 import os
@@ -27,14 +28,24 @@ def run_in_threads(
     spans: list[tuple[int, int]],
     threads: int | None,
 ) -> None:
-    """`work` on every span; the kernel releases the interpreter's lock."""
+    """`work` on every span, by this thread and others, each of which takes one after the
+    other; the kernel releases the interpreter's lock."""
     threads = available_threads() if threads is None else threads
-    if threads == 1 or len(spans) == 1:
-        for span in spans:
+    left = collections.deque(spans)
+
+    def take() -> None:
+        while left:
+            try:
+                span = left.popleft()
+            except IndexError:  # another thread was faster
+                return
             work(span)
-        return
-    for result in [_pool(threads).submit(work, span) for span in spans]:
-        result.result()
+
+    others = min(threads, len(spans)) - 1
+    started = [_pool(threads).submit(take) for _ in range(others)]
+    take()
+    for other in started:
+        other.result()
 
 
 def widths() -> tuple[int, ...]:
