@@ -98,7 +98,7 @@ def report(figures: dict[str, list[dict[str, Any]]]) -> list[str]:
             errors = "".join(f"{e:9.1e}" for e in r["errors"])
             print(
                 f"  {name:<20}{r['engine']:<21}{'yes' if r['noisy'] else 'no':>6}"
-                f"{r['speed']:>11.3g}{fused[r['noisy']] / r['speed']:>9.4g}"
+                f"{r['speed']:>11.3g} {fused[r['noisy']] / r['speed']:>8.4g}"
                 f"{r.get('operations', ''):>6}{'':>10}{errors}"
             )
             if r.get("agreement", 0.0) > AGREEMENT:
