@@ -439,6 +439,27 @@ def test_single_precision():
         np.testing.assert_allclose(x, y, rtol=1e-3, atol=1e-3 * np.abs(y).max())
 
 
+def test_no_samples_and_results_without_entries():
+    chain = aslo.plants.IntegratorChain(2)
+    command = aslo.control.OpenLoop(lambda t: jnp.cos(9.0 * t))
+
+    def make(rate):
+        observer = aslo.AlgebraicObserver(chain.relation(), aslo.LowPass(rate))
+        return aslo.Experiment(chain, command, {"speed": observer}, 1e-2)
+
+    keep = lambda r: (r.estimates["speed"].value, jnp.zeros((0,)))
+    run = lambda rates, engine="fused": run_batch(
+        make, rates, 20, record=keep, every=10, engine=engine
+    )
+    none = jnp.zeros(0)
+    for fused, scan in zip(run(none).record, run(none, "scan").record, strict=True):
+        assert fused.shape == scan.shape and fused.dtype == scan.dtype
+    rates = jnp.array([[3.0, 5.0], [4.0, 6.0], [5.0, 7.0]])
+    value, nothing = jax.vmap(run)(rates).record
+    assert nothing.shape == (3, 2, 3, 0)
+    np.testing.assert_array_equal(value[1], run(rates[1]).record[0])
+
+
 def test_a_runner_is_as_precise_as_jax():
     """Made like doubles while JAX has none."""
     with jax.enable_x64(False):

@@ -192,3 +192,18 @@ def test_signs_are_a_part_of_another_operation(name):
     assert first == second
     a, b = 1.3, -0.7
     assert SIGNS[name][0](a, b) == SIGNS[name][1](a, b)
+
+
+@pytest.mark.parametrize("dtype", [np.int32, np.uint32, np.int64])
+@pytest.mark.parametrize("amount", [0, 5, 31, 40, 64, -1])
+def test_constants_are_shifted_as_jax_shifts_them(dtype, amount):
+    graph = Graph()
+    value = np.array(0x90000001, np.uint64).astype(dtype)
+    by = np.array(amount).astype(dtype)
+    for op, shift in {
+        "shl": jax.lax.shift_left,
+        "lshr": jax.lax.shift_right_logical,
+        "ashr": jax.lax.shift_right_arithmetic,
+    }.items():
+        folded = graph.op(op, graph.const(value, dtype), graph.const(by, dtype))
+        assert graph.value(folded) == shift(jnp.asarray(value), jnp.asarray(by)), op

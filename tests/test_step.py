@@ -45,10 +45,10 @@ def by_hand(a, b, steps):
     return [np.stack(x, axis=1) for x in zip(*records, strict=True)], finish(carry, inputs)
 
 
-@pytest.mark.parametrize("waiting", [2, 5, 14])
+@pytest.mark.parametrize("holding", [2, 5, 14])
 @pytest.mark.parametrize("widths", [(2,), (4,), (8,), (4, 8)])
-def test_a_carry_in_memory(widths, waiting, monkeypatch):
-    monkeypatch.setitem(step.WAITING, register(), waiting)
+def test_a_carry_in_memory(widths, holding, monkeypatch):
+    monkeypatch.setitem(step.HOLDING, register(), holding)
     rng = np.random.default_rng(3)
     a, b = rng.normal(size=(2, 13))
     program = Program.of(Bodies(begin, advance, finish), {"lane": (REAL, REAL)}, widths)
@@ -72,3 +72,23 @@ def test_long_steps_take_fewer_lanes_at_a_time(monkeypatch):
     both = (p({"lane": (a, b)}, 13, 6) for p in (wide, narrow))
     for x, y in zip(*map(jax.tree.leaves, both), strict=True):
         np.testing.assert_array_equal(x, y)
+
+
+def test_a_record_reads_the_log_of_a_lane():
+    """Only there, or in an operation of its own."""
+
+    def advance(k, carry, inputs):
+        log = inputs["lane log"]
+        return 0.5 * carry + log, (log, 2.0 * log + carry)
+
+    bodies = Bodies(
+        lambda inputs: (inputs["lane"], None), advance, lambda carry, inputs: carry
+    )
+    program = Program.of(bodies, {"lane": REAL, "lane log": REAL}, (4, 8))
+    x, log = np.arange(5.0), np.random.default_rng(0).normal(size=(5, 7))
+    (first, second), final = program({"lane": x, "lane log": log}, 5, 7)
+    np.testing.assert_array_equal(first, log)
+    for k in range(7):
+        np.testing.assert_allclose(second[:, k], 2.0 * log[:, k] + x, rtol=1e-14)
+        x = 0.5 * x + log[:, k]
+    np.testing.assert_allclose(final, x, rtol=1e-14)

@@ -26,8 +26,8 @@ def emit(step: Step) -> str:
     """The text of a kernel whose loop has that step: `void kernel(i64 first, i64 last, i64
     lanes, i64 steps, i64 every, ptr table)`.
 
-    It runs the lanes first to last - 1 of `lanes` (multiples of the step's width) through
-    `steps` steps. `table` holds one pointer for each of the loop's slots.
+    It runs the lanes first to last - 1 of `lanes`, all three multiples of the step's width,
+    through `steps` steps. `table` holds one pointer for each of the loop's slots.
     """
     return _Kernel(step).text()
 
@@ -109,14 +109,15 @@ class _Kernel(Writer):
         )
 
     def _lay_out(self) -> None:
-        """Places for what a step reads and does not make."""
+        """Places for what a step reads and does not make: constants, what is fixed, and
+        the carry. An entry of it that is made before its predecessor is read for the last
+        time has two places; one that is made of that last reading needs only one."""
         instructions = [e.instruction for e in self.step.events if e.instruction]
         made = {x.number: time for time, x in enumerate(instructions)}
         read = {a: time for time, x in enumerate(instructions) for a in x.args}
         read |= {a: len(made) for n in self.body.record for a in self.graph.nodes[n].args}
         read |= {n: len(made) for n in (*self.loop.carry, *self.loop.record)}
         inputs = carries(self.graph, read)
-        # What is made before its predecessor is read for the last time has two places.
         double = [
             made.get(n, -1) < read.get(inputs.get(i, -1), -1)
             for i, n in enumerate(self.loop.carry)
@@ -130,16 +131,14 @@ class _Kernel(Writer):
             self.carry_places.append((ends[two], two))
             ends[two] += self._size(dtype)
         self.frame.place("carry", ends[False])
-        self.constants: list[int] = []
-        self.fixed: list[int] = []  # over time, and different for each lane
+        self.constants: dict[int, int] = {}  # their places
+        self.fixed: dict[int, int] = {}  # over time, and different for each lane
         for number in read:
             node = self.graph.nodes[number]
             if node.op == "const" and node.data and node.dtype != np.bool_:
-                self.constants.append(number)
-                self.frame.place(number, self.register)
+                self.constants[number] = self.frame.place(number, self.register)
             elif self.varies[number] == (False, True):
-                self.fixed.append(number)
-                self.frame.place(number, self._size(node.dtype))
+                self.fixed[number] = self.frame.place(number, self._size(node.dtype))
 
     def _size(self, dtype: np.dtype) -> int:
         """Bytes of a vector of all lanes in the frame."""
@@ -160,12 +159,12 @@ class _Kernel(Writer):
                 dtype = self.graph.dtype(number)
                 self.scalars[number] = self.load(self.pointers[slot], dtype, False)
         self.compute(n for n, varies in self.varies.items() if varies == (False, False))
-        for number in self.constants:
+        for number, offset in self.constants.items():
             node = self.graph.nodes[number]
-            kind, lanes = self.type(node.dtype, False), self.register // node.dtype.itemsize
-            entries = ", ".join([f"{kind} {literal(node.data)}"] * lanes)
-            place = self._at(self.frame.place(number, self.register))
-            self.line(f"store <{lanes} x {kind}> <{entries}>, ptr {place}")
+            kind, lanes = self._one_register(node.dtype)
+            entry = f"{self.type(node.dtype, False)} {literal(node.data)}"
+            entries = ", ".join([entry] * lanes)
+            self.line(f"store {kind} <{entries}>, ptr {self._at(offset)}")
         self.line("br label %block")
 
     def _begin(self) -> None:
@@ -183,10 +182,9 @@ class _Kernel(Writer):
         self.compute(n for n, varies in self.varies.items() if varies == (False, True))
         for i, number in enumerate(self.loop.begin):
             self._keep(i, self.operand(number, True), "0")
-        for number in self.fixed:
-            dtype = self.graph.dtype(number)
-            place = self._at(self.frame.place(number, self._size(dtype)))
-            self._put(self.operand(number, True), place, dtype)
+        for number, offset in self.fixed.items():
+            value, dtype = self.operand(number, True), self.graph.dtype(number)
+            self._put(value, self._at(offset), dtype)
         if self.loop.first:
             self._write("record", self.loop.first, "0")
         self.line("br label %time")
@@ -198,16 +196,17 @@ class _Kernel(Writer):
         kind, wide = self.type(dtype, True), self.type(np.int64, True)
         if self.register < 64:
             value, kind = self.define(f"sext {kind} {value} to {wide}"), wide
-        return self.line(f"store {kind} {value}, ptr {place}")
+        return self.line(f"store {kind} {value}, ptr {place}, align {self.register}")
 
     def _got(self, place: str, dtype: np.dtype) -> str:
         """From the frame."""
         if dtype != np.bool_:
             return self.load(place, dtype, True)
         if self.register == 64:
-            return self.define(f"load {self.type(dtype, True)}, ptr {place}")
+            kind = self.type(dtype, True)
+            return self.define(f"load {kind}, ptr {place}, align {self.register}")
         kind = self.type(np.int64, True)
-        found = self.define(f"load {kind}, ptr {place}")
+        found = self.define(f"load {kind}, ptr {place}, align {self.register}")
         return self.define(f"icmp slt {kind} {found}, zeroinitializer")
 
     def _at(self, offset: int, base: str = "0", turn: bool = False) -> str:
@@ -293,12 +292,12 @@ class _Kernel(Writer):
         number, op, args = instruction
         shift = len(args) - 1 if op in SHIFTS else -1  # by constants that are literal
         x = [
-            self.vectors[a] if a in made else self._given(a, literal=k == shift)
+            self.vectors[a] if a in made else self._given(a, as_literal=k == shift)
             for k, a in enumerate(args)
         ]
         return self.result(number, op, args, x, True)
 
-    def _given(self, number: int, literal: bool = False) -> str:
+    def _given(self, number: int, as_literal: bool = False) -> str:
         """What a step does not make, from the frame where it has a place there."""
         node = self.graph.nodes[number]
         kind = node.data[0] if node.op == "input" else node.op
@@ -306,19 +305,21 @@ class _Kernel(Writer):
             place = self._entry_of_carry(node.data[1], "%now", turn=True)
             return self._got(place, node.dtype)
         if number in self.fixed:
-            place = self._at(self.frame.place(number, self._size(node.dtype)), turn=True)
-            return self._got(place, node.dtype)
-        if number not in self.constants or literal:
+            return self._got(self._at(self.fixed[number], turn=True), node.dtype)
+        if number not in self.constants or as_literal:
             return self.operand(number, True)
         # One register for all vectors of the lanes.
-        kind, lanes = self.type(node.dtype, False), self.register // node.dtype.itemsize
-        place = self._at(self.frame.place(number, self.register), turn=True)
-        one = self.define(f"load <{lanes} x {kind}>, ptr {place}")
+        whole, lanes = self._one_register(node.dtype)
+        place = self._at(self.constants[number], turn=True)
+        one = self.define(f"load {whole}, ptr {place}")
         mask = ", ".join(f"i32 {k % lanes}" for k in range(self.width))
-        return self.define(
-            f"shufflevector <{lanes} x {kind}> {one}, <{lanes} x {kind}> poison, "
-            f"<{self.width} x i32> <{mask}>"
-        )
+        mask = f"<{self.width} x i32> <{mask}>"
+        return self.define(f"shufflevector {whole} {one}, {whole} poison, {mask}")
+
+    def _one_register(self, dtype: np.dtype) -> tuple[str, int]:
+        """The type of a vector that is one register, and its lanes."""
+        lanes = self.register // dtype.itemsize
+        return f"<{lanes} x {self.type(dtype, False)}>", lanes
 
     def _read(self, slot: Slot, number: int) -> None:
         """An input that varies over time."""
@@ -345,7 +346,7 @@ class _Kernel(Writer):
         self.label("record")
         self.vectors = dict(self.invariant)
         for slot, number in self.inputs.items():
-            if slot[0] == "carry":
+            if slot[0] in ("carry", "lane log"):
                 self._read(slot, number)
         for number, home in self.leaving.items():
             place, dtype = self._at(*home), self.graph.dtype(number)

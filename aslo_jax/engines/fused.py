@@ -36,6 +36,9 @@ class Fused:
 
     def __call__(self, samples: PyTree) -> Batch:
         leaves = jax.tree.leaves(samples)
+        if not len(leaves[0]):
+            nothing = lambda s: jnp.zeros(s.shape, s.dtype)
+            return jax.tree.map(nothing, self._shapes(0))
         if is_concrete(*leaves):
             return jax.tree.map(jnp.asarray, self._run(leaves))
         self.program  # noqa: B018  traced here, since a callback should leave JAX alone
@@ -160,14 +163,15 @@ def _more(arrays: list[Any], batched: list[bool], size: int, axis: int) -> list[
     def folded(x, has):
         x = x if has else jnp.broadcast_to(x, (size, *x.shape))
         x = jnp.moveaxis(x, 0, axis)
-        return x.reshape(*x.shape[:axis], -1, *x.shape[axis + 2 :])
+        return x.reshape(*x.shape[:axis], size * x.shape[axis + 1], *x.shape[axis + 2 :])
 
     return [folded(x, has) for x, has in zip(arrays, batched, strict=True)]
 
 
 def _fewer(x: Any, size: int, axis: int) -> Any:
     """Undoes [`_more`][]: the part of `axis` is a leading axis again."""
-    return jnp.moveaxis(x.reshape(*x.shape[:axis], size, -1, *x.shape[axis + 1 :]), axis, 0)
+    lead, count, rest = x.shape[:axis], x.shape[axis] // size, x.shape[axis + 1 :]
+    return jnp.moveaxis(x.reshape(*lead, size, count, *rest), axis, 0)
 
 
 def _with_integers(out: PyTree, tangent: list[Any]) -> PyTree:

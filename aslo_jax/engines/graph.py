@@ -32,6 +32,13 @@ def _shift(operation):
     return fold
 
 
+def _shift_of_sign(x, y):
+    """By so many bits or more, or by less than none, only the sign is left."""
+    bits = x.dtype.itemsize * 8
+    amount = int(y) if 0 <= y < bits else bits - 1
+    return (x.view(f"i{x.dtype.itemsize}") >> amount).view(x.dtype)
+
+
 FOLD: dict[str, Callable[..., Any]] = {
     "add": np.add,
     "sub": np.subtract,
@@ -49,7 +56,7 @@ FOLD: dict[str, Callable[..., Any]] = {
     "not": np.invert,
     "shl": _shift(np.left_shift),
     "lshr": _shift(lambda x, y: (x.view(f"u{x.dtype.itemsize}") >> int(y)).view(x.dtype)),
-    "ashr": _shift(np.right_shift),
+    "ashr": _shift_of_sign,
     "eq": np.equal,
     "ne": np.not_equal,
     "lt": np.less,
@@ -204,7 +211,8 @@ class Graph:
                     return other
                 if value is not None and value == -1:
                     return self.op("neg", other)
-            return self._product(a, y) or self._product(b, x)
+            product = self._product(a, y)
+            return self._product(b, x) if product is None else product
         if op == "div":
             if b is not None and b == 1:
                 return x
@@ -230,7 +238,7 @@ class Graph:
         left, right = (
             self.nodes[n].args[0] if self.nodes[n].op == "neg" else None for n in (x, y)
         )
-        if self.dtype(x).kind != "f" or left is right is None:
+        if self.dtype(x).kind != "f" or (left is None and right is None):
             return None
         if op in ("mul", "div"):
             whole = self.op(op, x if left is None else left, y if right is None else right)

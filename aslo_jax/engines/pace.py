@@ -14,7 +14,7 @@ from .registers import Event
 RATE = 2.0
 AHEAD = 100
 STEPS = 3  # until one is like the next
-PRODUCT = LATENCY["fma"]
+LOAD, STORE = 4, 1  # cycles
 
 
 def cycles(graph: Graph, events: Sequence[Event], carry: Sequence[int]) -> float:
@@ -36,13 +36,13 @@ def cycles(graph: Graph, events: Sequence[Event], carry: Sequence[int]) -> float
                 began = max(began, order[0])
             number, instruction, done = event.number, event.instruction, began
             if instruction is None:
-                done = max(began, ready[number]) + (4 if event.action == "load" else 1)
+                done = max(began, ready[number]) + (
+                    LOAD if event.action == "load" else STORE
+                )
             else:
                 for a in instruction.args:
                     done = max(done, ready.get(a, 0.0), last.get(entry.get(a, -1), 0.0))
-                done += LATENCY.get(
-                    instruction.op, PRODUCT if "mul" in instruction.op else 1
-                )
+                done += LATENCY.get(instruction.op, 1)
             if event.action != "store":
                 ready[number] = done
             ended = max(ended, done)

@@ -21,7 +21,8 @@ from .step import Body, Step, chosen
 from .timetable import timetable
 
 KINDS = ("shared", "lane", "log", "lane log")
-_COMPILING = threading.Lock()  # of several threads one compiles, and the others wait
+# Of several threads one rewrites and compiles, and the others wait.
+_COMPILING = threading.RLock()
 
 
 class Bodies(NamedTuple):
@@ -116,7 +117,8 @@ class Program:
 
     @functools.cached_property
     def _parts(self) -> tuple[Loop, Loop | None]:
-        return timetable(reduced(self.raw))
+        with _COMPILING:
+            return timetable(reduced(self.raw))
 
     @functools.cached_property
     def _kernels(self) -> tuple[Callable[..., None], Callable[..., None] | None]:

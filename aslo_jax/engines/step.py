@@ -10,9 +10,9 @@ from .order import depth_first, ordered
 from .pace import cycles
 from .registers import Event, planned, selected
 
-# Registers for the values that wait, by their bytes: those of AVX2 and AVX-512 without two,
+# Registers that hold values, by their bytes: those of AVX2 and AVX-512 without two,
 # or four, for what an operation reads from memory.
-WAITING = {32: 14, 64: 28}
+HOLDING = {32: 14, 64: 28}
 # Of more instructions than that, a processor decodes each anew in every step. With two
 # vectors to a value on AVX2, the gradient of the PMSM's loop in two gains has 2,600, and
 # runs 1.5 times as fast with one; the loop with five observers has 2,200, and runs 1.1
@@ -73,7 +73,7 @@ class Step:
             instructions = selected(loop.graph, order, stored)
             made = (x.number for x in instructions)
             sizes = {n: self.registers(loop.graph.dtype(n)) for n in made}
-            return list(planned(instructions, sizes, stored, WAITING[self.register]))
+            return list(planned(instructions, sizes, stored, HOLDING[self.register]))
 
         plans = map(plan, self.body.orders)
         return min(plans, key=lambda events: cycles(loop.graph, events, loop.carry))
