@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from aslo_jax._toml_text import rewritten
 from aslo_jax.cli.app import app
+from aslo_jax.cli.tune import compared
 from aslo_jax.tune.configured import changed, tune_study
 
 pytest.importorskip("llvmlite")
@@ -64,6 +65,11 @@ def test_only_the_values_change():
     )
     with pytest.raises(ValueError, match="must stand on one line each"):
         rewritten("[x]\na = [\n 1.0]\n", {"x": {"a": [2.0]}})
+
+
+def test_gains_that_fit_their_samples_only_are_told():
+    assert compared(0.2, 0.1) == "2 times less"
+    assert "no less: more --samples" in compared(0.1, 0.101)
 
 
 def test_the_command_writes_the_same_file_with_its_gains(tmp_path, tuned):

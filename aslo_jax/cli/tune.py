@@ -99,9 +99,16 @@ def _print(tuned: dict[str, Tuned]) -> None:
         )
         typer.echo(
             f"{name}: {gains}; rms error of fresh samples {each.rms_before:.4g} to "
-            f"{each.rms_after:.4g}, {each.rms_before / each.rms_after:.3g} times less "
+            f"{each.rms_after:.4g}, {compared(each.rms_before, each.rms_after)} "
             f"({each.fitted.stopped})"
         )
+
+
+def compared(before: float, after: float) -> str:
+    """Two errors over fresh samples, in words."""
+    if after < before:
+        return f"{before / after:.3g} times less"
+    return "no less: more --samples may find better gains"
 
 
 def _draw(path: Path, title: str, tuned: dict[str, Tuned]) -> None:
