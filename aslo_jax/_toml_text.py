@@ -5,7 +5,7 @@ import tomllib
 from collections.abc import Mapping
 from typing import Any
 
-HEADER = re.compile(r"\s*(\[\[?)\s*([\w.-]+)\s*\]")
+HEADER = re.compile(r"\s*(\[\[?)(.+?)\]\]?\s*(?:#.*)?$")
 ENTRY = re.compile(r"(\s*([\w-]+)\s*=\s*)(\[[^\]#]*\]|[^#\s\[]+)(\s*(?:#.*)?)$")
 
 
@@ -17,8 +17,9 @@ def rewritten(text: str, values: Mapping[str, Mapping[str, Any]]) -> str:
     lines = text.splitlines()
     table, counts, done, heads = "", dict[str, int](), set[tuple[str, str]](), {}
     for k, line in enumerate(lines):
-        if header := HEADER.match(line):
-            table = header[2]
+        header = HEADER.match(line)
+        if header and (name := _name(header[2])):
+            table = name
             if header[1] == "[[":
                 counts[table] = counts.get(table, -1) + 1
                 table = f"{table}.{counts[table]}"
@@ -43,11 +44,11 @@ def rewritten(text: str, values: Mapping[str, Mapping[str, Any]]) -> str:
     ]
     # From the last table to the first, so that what is inserted moves no other header.
     for table, key in sorted(missing, key=lambda pair: heads.get(pair[0], 0), reverse=True):
-        if table in heads and key not in _table(content, table):
+        if table in heads and key not in table_of(content, table):
             lines.insert(heads[table] + 1, f"{key} = {values[table][key]!r}")
     result = "\n".join(lines) + "\n"
     for table, items in values.items():
-        _table(content, table).update(items)
+        table_of(content, table).update(items)
     if tomllib.loads(result.lstrip("\ufeff")) != content:
         names = ", ".join(f"{table}.{key}" for table, key in missing)
         raise ValueError(
@@ -57,7 +58,21 @@ def rewritten(text: str, values: Mapping[str, Mapping[str, Any]]) -> str:
     return result
 
 
-def _table(content: dict[str, Any], name: str) -> dict[str, Any]:
+def _name(header: str) -> str | None:
+    """The name between the brackets of a header, without quotes; `None` if it is none."""
+    try:
+        inner = tomllib.loads(f"[{header}]")
+    except tomllib.TOMLDecodeError:
+        return None
+    parts = []
+    while inner:
+        ((part, inner),) = inner.items()
+        parts.append(part)
+    return ".".join(parts)
+
+
+def table_of(content: dict[str, Any], name: str) -> dict[str, Any]:
+    """The table of a file by its name, as in [`rewritten`][]."""
     found: Any = content
     for part in name.split("."):
         found = found[int(part)] if isinstance(found, list) else found.setdefault(part, {})

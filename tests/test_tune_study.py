@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from aslo_jax._toml_text import rewritten
 from aslo_jax.cli.app import app
 from aslo_jax.cli.tune import compared
+from aslo_jax.study.config import NAMES
 from aslo_jax.tune.configured import changed, tune_study
 
 pytest.importorskip("llvmlite")
@@ -65,6 +66,23 @@ def test_only_the_values_change():
     )
     with pytest.raises(ValueError, match="must stand on one line each"):
         rewritten("[x]\na = [\n 1.0]\n", {"x": {"a": [2.0]}})
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_ready_made_study_is_rewritten(name):
+    """Also where an observer has a name in quotes."""
+    text = files("aslo_jax.study.configs").joinpath(f"{name}.toml").read_text()
+    content = tomllib.loads(text)
+    values = {
+        f"observers.{observer}": {
+            key: 1.5 * value for key, value in table.items() if isinstance(value, float)
+        }
+        for observer, table in content["observers"].items()
+    }
+    new = rewritten(text, values)
+    assert tomllib.loads(new) == changed(content, values)
+    assert len(new.splitlines()) == len(text.splitlines())
+    assert new.count("#") == text.count("#")
 
 
 def test_gains_that_fit_their_samples_only_are_told():

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .. import random
+from .._toml_text import table_of
 from ..engines import run_batch
 from ..experiment import Experiment
 from ..logs import Log
@@ -128,10 +129,7 @@ def changed(
     """The content of a file with new values, by table and key."""
     new = copy.deepcopy(dict(content))
     for table, items in values.items():
-        inner: Any = new
-        for part in table.split("."):
-            inner = inner[int(part)] if isinstance(inner, list) else inner[part]
-        inner.update(items)
+        table_of(new, table).update(items)
     return new
 
 
