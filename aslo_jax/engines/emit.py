@@ -217,13 +217,14 @@ class _Kernel(Writer):
             pointer = self.define(f"getelementptr i8, ptr {pointer}, i64 {base}")
         return self.define(f"getelementptr i8, ptr {pointer}, i64 {offset}")
 
-    def _entry_of_carry(self, i: int, base: str, turn: bool = False) -> str:
-        """Where the i-th entry of the carry is: that of `%now`, or of `%next`."""
+    def _home(self, i: int, base: str) -> tuple[int, str]:
+        """Where the i-th entry of the carry is, that of `%now` or of `%next`: its offset
+        and what to add to it."""
         offset, two = self.carry_places[i]
-        return self._at(offset, base if two else "0", turn)
+        return offset, base if two else "0"
 
     def _keep(self, i: int, value: str, base: str) -> None:
-        self._put(value, self._entry_of_carry(i, base), self.carried[i])
+        self._put(value, self._at(*self._home(i, base)), self.carried[i])
 
     def _write(self, kind: str, numbers: tuple[int, ...], row: str) -> None:
         for i, number in enumerate(numbers):
@@ -260,10 +261,7 @@ class _Kernel(Writer):
             carry.setdefault(number, []).append(i)
         leaving = self.body.leaving
         made = {e.number for e in self.step.events if e.instruction}
-        home = {}
-        for n, (i, *_) in carry.items():
-            offset, two = self.carry_places[i]
-            home[n] = offset, "%next" if two else "0"
+        home = {n: self._home(places[0], "%next") for n, places in carry.items()}
         for n in leaving - carry.keys():
             home[n] = self.frame.place(n, self._size(self.graph.dtype(n))), "0"
         for event in self.step.events:
@@ -302,7 +300,7 @@ class _Kernel(Writer):
         node = self.graph.nodes[number]
         kind = node.data[0] if node.op == "input" else node.op
         if kind == "carry":
-            place = self._entry_of_carry(node.data[1], "%now", turn=True)
+            place = self._at(*self._home(node.data[1], "%now"), turn=True)
             return self._got(place, node.dtype)
         if number in self.fixed:
             return self._got(self._at(self.fixed[number], turn=True), node.dtype)
@@ -333,7 +331,7 @@ class _Kernel(Writer):
             place = self._place("%k", self.pointers[slot], dtype)
             self.vectors[number] = self.load(place, dtype, True)
         elif kind == "carry":
-            place = self._entry_of_carry(i, "%now")
+            place = self._at(*self._home(i, "%now"))
             self.vectors[number] = self._got(place, dtype)
 
     def _place(self, row: str, pointer: str, dtype: np.dtype) -> str:

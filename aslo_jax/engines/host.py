@@ -26,11 +26,10 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 def run_in_threads(
     work: Callable[[tuple[int, int]], None],
     spans: list[tuple[int, int]],
-    threads: int | None,
+    threads: int,
 ) -> None:
     """`work` on every span, by this thread and others, each of which takes one after the
     other; the kernel releases the interpreter's lock."""
-    threads = available_threads() if threads is None else threads
     left = collections.deque(spans)
 
     def take() -> None:

@@ -205,6 +205,7 @@ class Program:
         def work(span: tuple[int, int]) -> None:
             function(*span, padded, steps, every, address)
 
+        threads = available_threads() if threads is None else threads
         run_in_threads(work, _spans(padded, self.width, threads), threads)
         return _gathered(record, self.record, lanes), _gathered(final, self.final, lanes)
 
@@ -323,9 +324,8 @@ def _gathered(columns: list[np.ndarray], tree: PyTree, lanes: int) -> PyTree:
     return jax.tree.unflatten(structure, found)
 
 
-def _spans(padded: int, width: int, threads: int | None) -> list[tuple[int, int]]:
+def _spans(padded: int, width: int, threads: int) -> list[tuple[int, int]]:
     """Some pieces for each thread, so that none waits long for another."""
-    threads = available_threads() if threads is None else threads
     blocks = padded // width
     pieces = min(blocks, 8 * threads if threads > 1 else 1)
     edges = [blocks * k // pieces * width for k in range(pieces + 1)]

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -44,10 +43,7 @@ def influences(
     if not sampler.names:
         raise ValueError("Argument `spread` must name a parameter, but is empty.")
     metrics = {name: made(metric, name) for name in experiment.observers}
-    like = jax.tree.map(
-        lambda x: x[0], sampler(np.zeros(1, int), np.ones((1, len(sampler.names))))
-    )
-    runner = Runner(sampler.make, like, steps, metrics=metrics, engine=engine)
+    runner = Runner(sampler.make, sampler.like(), steps, metrics=metrics, engine=engine)
     found: dict[str, Any] = {}
 
     def errors(u: Float[np.ndarray, "N d"], observer: str) -> Float[np.ndarray, " N"]:
