@@ -32,6 +32,7 @@ from ...observers import (
 from ...plants import IntegratorChain
 from ...realise import Pass
 from ...simulate import Simulation, simulate
+from ..batch import one_by_one
 
 RATES = (1.0, 2.5, 5.0, 10.0)  # lambda, and gamma_L, of figure 1 (rad/s)
 GAINS = (1.0, 2.0, 5.0, 10.0)  # gamma of figure 1c (rad/s)
@@ -155,7 +156,7 @@ def transients(printed: Printed) -> Simulation:
         }
         return simulated(observers, _instants(8.0))
 
-    return _batch(one, jnp.array(RATES))
+    return one_by_one(one, jnp.array(RATES))
 
 
 def gains(printed: Printed) -> Simulation:
@@ -168,7 +169,7 @@ def gains(printed: Printed) -> Simulation:
         }
         return simulated(observers, _instants(8.0))
 
-    return _batch(one, jnp.array(GAINS))
+    return one_by_one(one, jnp.array(GAINS))
 
 
 def three(printed: Printed) -> dict[str, AbstractObserver]:
@@ -199,7 +200,7 @@ def noise(printed: Printed) -> Simulation:
         )
 
     keys = jax.vmap(random.fold, (None, 0))(random.key(2), jnp.arange(REALISATIONS))
-    return _batch(one, keys)
+    return one_by_one(one, keys)
 
 
 def parasitics(printed: Printed) -> Simulation:
@@ -213,7 +214,7 @@ def parasitics(printed: Printed) -> Simulation:
     def one(tau):
         return simulated(three(printed), ts, actuator=ParasiticLag(tau))
 
-    return _batch(one, jnp.array(LAGS))
+    return one_by_one(one, jnp.array(LAGS))
 
 
 class Scenario(NamedTuple):
@@ -258,7 +259,7 @@ def scenarios(printed: Printed) -> dict[str, Simulation]:
         )
 
     stacked = jax.tree.map(lambda *xs: jnp.array(xs), *SCENARIOS.values())
-    batch = _batch(one, stacked)
+    batch = one_by_one(one, stacked)
     return {name: member(batch, i) for i, name in enumerate(SCENARIOS)}
 
 
@@ -291,7 +292,7 @@ def chain(printed: Printed, order: int) -> Simulation:
             sensor=Added(lambda t: offset),
         )
 
-    return _batch(one, jnp.array([0.0, BIAS]))
+    return one_by_one(one, jnp.array([0.0, BIAS]))
 
 
 class Runs(NamedTuple):
@@ -330,10 +331,3 @@ def member(batch: Simulation, index: int) -> Simulation:
 def _instants(t1: float) -> np.ndarray:
     # From 1 ms on, so that "for all t > 0" is tested where it is hardest.
     return np.unique(np.concatenate([[0.0, 1e-3, 3e-3], np.arange(0.01, t1 + 0.005, 0.01)]))
-
-
-def _batch(one: Callable[..., Simulation], over) -> Simulation:
-    # One after the other: an adaptive solve takes twice as long to compile for a batch.
-    run, count = jax.jit(one), len(jax.tree.leaves(over)[0])
-    each = [run(jax.tree.map(lambda x, k=k: x[k], over)) for k in range(count)]
-    return jax.tree.map(lambda *x: np.stack(x), *each)

@@ -28,6 +28,7 @@ from ...realise import Pass
 from ...relations import swap
 from ...replay import replay
 from ...simulate import Simulation, simulate
+from ..batch import one_by_one
 from . import settings as s
 from .prescribed import PrescribedMachine
 
@@ -157,10 +158,7 @@ def steady(printed: s.Printed) -> Simulation:
         ts = jnp.linspace(0.0, 8.0, 81)
         return simulate(motion, motion.voltage, beside, t1=8.0, ts=ts, **tight())
 
-    # One after the other: an adaptive solve takes twice as long to compile for a batch.
-    run = jax.jit(one)
-    each = [run(speed) for speed in jnp.array(STEADY_SPEEDS)]
-    return jax.tree.map(lambda *x: np.stack(x), *each)
+    return one_by_one(one, jnp.array(STEADY_SPEEDS))
 
 
 REVERSAL = {
