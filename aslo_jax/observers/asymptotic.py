@@ -62,10 +62,9 @@ class _Correction(AbstractLaw):
         left = jnp.where(v0.certified, v0.error, innovation)
         corrected = self.gain * (hold.left * left + hold.right * innovation)
         weight = hold.decay * X.weight + (1.0 - hold.decay)
-        estimate = predicted + corrected * safe_reciprocal(weight)
         weight = jnp.where(v1.certified, weight, X.weight)
-        estimate = jnp.where(v1.certified, estimate, predicted)
-        return _Average(weight, weight * estimate)
+        corrected = jnp.where(v1.certified, corrected, 0.0)
+        return _Average(weight, weight * predicted + corrected)
 
 
 class Asymptotic(AbstractObserver):
