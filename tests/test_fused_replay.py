@@ -8,6 +8,7 @@ from motion import PrescribedPMSM
 
 import aslo_jax as aslo
 from aslo_jax.engines import NotFusible
+from aslo_jax.engines.program import Program
 
 pytest.importorskip("llvmlite")
 MOTION = PrescribedPMSM()
@@ -83,3 +84,21 @@ def test_what_does_not_fit_is_refused():
 
     with pytest.raises(NotFusible, match="`sort`"):
         aslo.replay(Sorted(), T, u, y, engine="fused")
+
+
+def test_equal_observers_share_a_program_and_others_do_not(monkeypatch):
+    """Numbers of an observer are inputs of the program; what it is made of is not."""
+    made = []
+    plain = Program.of
+    monkeypatch.setattr(Program, "of", lambda *a: made.append(a) or plain(*a))
+    t, (u, y) = T[:45], log(T[:45])
+
+    def programs(rate, **choice):
+        flux = aslo.AlgebraicObserver(MOTION.relation(), aslo.LowPass(rate), **choice)
+        run = lambda engine: aslo.replay(flux, t, u, y, engine=engine)
+        same(run("fused"), run("scan"))
+        return len(made)
+
+    assert programs(17.5) == 1 and programs(43.0) == 1
+    assert programs(17.5, start="paper") == 2 and programs(43.0, start="paper") == 2
+    assert programs(43.0) == 2

@@ -1,7 +1,8 @@
 """Replay of recorded logs by the fused engine: one log, or many beside each other."""
 
 import functools
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -99,10 +100,43 @@ class _Replay:
             advance,
             lambda state, inputs: state,
         )
-        program = Program.of(bodies, shapes, (ONE,) if lanes == 1 else widths())
-        return program(inputs, lanes, steps)
+        make = lambda: Program.of(bodies, shapes, (ONE,) if lanes == 1 else widths())
+        return _kept(self._key(shapes), make)(inputs, lanes, steps)
+
+    def _key(self, shapes: PyTree) -> tuple[Any, ...]:
+        """Of what a program depends on; it may not be hashable."""
+        rest = jax.tree.flatten(self.rest)
+        leaves, tree = jax.tree.flatten(shapes)
+        of_leaves = tuple((s.shape, np.dtype(s.dtype)) for s in leaves)
+        wide = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+        return tuple(rest[0]), rest[1], self.tree, self.substeps, of_leaves, tree, wide
 
 
 def _shape(x: np.ndarray, drop: int) -> jax.ShapeDtypeStruct:
     """Of an array without its first axes."""
     return jax.ShapeDtypeStruct(x.shape[drop:], x.dtype)
+
+
+class _Recipe(NamedTuple):
+    key: tuple[Any, ...]
+    make: Callable[[], Program]
+
+    def __hash__(self):
+        return hash(self.key)
+
+    def __eq__(self, other):
+        return self.key == other.key
+
+
+@functools.lru_cache(maxsize=32)
+def _cached(recipe: _Recipe) -> Program:
+    return recipe.make()
+
+
+def _kept(key: tuple[Any, ...], make: Callable[[], Program]) -> Program:
+    """A program, made once for equal keys where these can be compared."""
+    try:
+        hash(key)
+    except TypeError:
+        return make()
+    return _cached(_Recipe(key, make))
