@@ -1,45 +1,14 @@
 """Loops with less to do in a step: the results of a plain loop, by fewer operations."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from loops import X, by_hand, check, program
 
 from aslo_jax.engines.graph import Graph
 from aslo_jax.engines.order import depth_first, ordered
-from aslo_jax.engines.program import Bodies, Program
 
 pytest.importorskip("llvmlite")
-X = np.array([0.3, -1.2, 0.9])
-NUMBER = jax.ShapeDtypeStruct((), np.float64)
-
-
-def program(begin, advance, finish):
-    """Of functions of numbers: `begin(x)`, `advance(k, carry, x)`, `finish(carry)`."""
-    bodies = Bodies(
-        lambda inputs: (begin(inputs["lane"]), None),
-        lambda k, carry, inputs: (advance(k, carry, inputs["lane"]), None),
-        lambda carry, inputs: finish(carry),
-    )
-    return Program.of(bodies, {"lane": NUMBER}, (4,))
-
-
-def by_hand(begin, advance, finish, steps):
-    found = []
-    for x in X:
-        carry = begin(x)
-        for k in range(steps):
-            carry = advance(k, carry, x)
-        found.append(finish(carry))
-    return found
-
-
-def check(begin, advance, finish, steps=7):
-    """The loop, found right."""
-    made = program(begin, advance, finish)
-    _, final = made({"lane": X}, len(X), steps)
-    np.testing.assert_allclose(final, by_hand(begin, advance, finish, steps), rtol=1e-13)
-    return made
 
 
 def test_entries_that_are_always_equal_are_one():
@@ -113,7 +82,8 @@ def test_a_quotient_of_a_chosen_value_is_chosen():
     begin, finish = lambda x: (2.0 + x, x), lambda carry: carry[0] + carry[1]
     made = program(begin, advance, finish)
     _, final = made({"lane": X}, len(X), 9)
-    np.testing.assert_allclose(final, by_hand(begin, plain, finish, 9), rtol=1e-13)
+    _, expected = by_hand(begin, plain, finish, 9)
+    np.testing.assert_allclose(final, expected, rtol=1e-13)
     assert [quotients(loop) for loop in (made.raw, made.loop)] == [2, 1]
 
 
@@ -126,7 +96,7 @@ def test_what_depends_on_time_alone_is_computed_for_all_steps_at_once():
         return (0.9 * carry[0] + jnp.sin(0.3 * k) * x,)
 
     made = check(lambda x: (x,), advance, lambda carry: carry[0], steps=23)
-    assert made.table is not None
+    assert made.tables.beside is not None and made.tables.along is None
     assert made.operations == 3
 
 

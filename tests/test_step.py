@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from aslo_jax.engines import step
+from aslo_jax.engines import program as programs, step
 from aslo_jax.engines.host import register
 from aslo_jax.engines.program import Bodies, Program
 
@@ -35,14 +35,68 @@ def finish(carry, inputs):
     return a + inputs["lane"][0], flag
 
 
-def by_hand(a, b, steps):
+WHOLE = Bodies(begin, advance, finish)
+
+
+def begin_mixed(inputs):
+    a, b = inputs["lane"]
+    whole, short = jnp.floor(8.0 * a), (jnp.rint(4.0 * b) / 4.0).astype(jnp.float32)
+    natural = jnp.abs(whole).astype(jnp.uint32)
+    flags = (a > b, short > 0.5, whole.astype(jnp.int32) > 2)
+    return (a, b, short, whole.astype(jnp.int32), natural, *flags), None
+
+
+def advance_mixed(k, carry, inputs):
+    """Values of 32 and of 64 bits, and masks of both, that are made of each other. The
+    short ones are few bits long, so that no rounding hides an error."""
+    a, b, short, whole, natural, above, large, odd = carry
+    real = a + 0.3 * jnp.sin(b) * short.astype(jnp.float64)
+    steps = jnp.rint(4.0 * real).astype(jnp.float32) * jnp.float32(0.25)
+    after = jnp.where(above, short * jnp.float32(0.5), steps)
+    less, more = steps < short, real > b
+    both = jnp.where(less, real, 0.5 * b + whole.astype(jnp.float64) / 64.0)
+    count = jnp.where(more & ~large, whole + natural.astype(jnp.int32), -whole // 3)
+    bits = jnp.where(odd | less, natural * jnp.uint32(3), natural >> (natural & 3))
+    bits = (bits + jnp.floor(jnp.abs(both)).astype(jnp.uint32)) & jnp.uint32(1023)
+    wide = (whole.astype(jnp.int64) << 3) - bits.astype(jnp.int64)
+    carry = (
+        0.7 * both - 0.1 * bits.astype(jnp.float64) / 256.0,
+        0.5 * a + jnp.where(large, 0.25, after.astype(jnp.float64) * 0.1),
+        after,
+        (count & 255) - (wide % 7).astype(jnp.int32),
+        bits,
+        less ^ more,
+        (after > jnp.float32(0.5)) | (above & more),
+        jnp.where(more, large, (bits & 1) == 1),
+    )
+    return carry, (real, after, whole, bits, wide, less, more, above, large & odd)
+
+
+def finish_mixed(carry, inputs):
+    a, _, short, whole, natural, *flags = carry
+    return a + short.astype(jnp.float64), whole, natural, short, tuple(flags)
+
+
+MIXED = Bodies(begin_mixed, advance_mixed, finish_mixed)
+
+
+def by_hand(a, b, steps, bodies=WHOLE):
     inputs = {"lane": (jnp.asarray(a), jnp.asarray(b))}
-    carry, _ = begin(inputs)
+    carry, _ = bodies.begin(inputs)
     records = []
     for k in range(steps):
-        carry, record = advance(k, carry, inputs)
+        carry, record = bodies.advance(k, carry, inputs)
         records.append(record)
-    return [np.stack(x, axis=1) for x in zip(*records, strict=True)], finish(carry, inputs)
+    stacked = [np.stack(x, axis=1) for x in zip(*records, strict=True)]
+    return stacked, bodies.finish(carry, inputs)
+
+
+def run(bodies, widths, lanes=21, steps=6):
+    """What a program finds, and what it was given."""
+    a, b = np.random.default_rng(5).normal(size=(2, lanes))
+    program = Program.of(bodies, {"lane": (REAL, REAL)}, widths)
+    assert program.width in widths
+    return jax.tree.leaves(program({"lane": (a, b)}, lanes, steps)), (a, b, steps)
 
 
 @pytest.mark.parametrize("holding", [2, 5, 14])
@@ -51,7 +105,7 @@ def test_a_carry_in_memory(widths, holding, monkeypatch):
     monkeypatch.setitem(step.HOLDING, register(), holding)
     rng = np.random.default_rng(3)
     a, b = rng.normal(size=(2, 13))
-    program = Program.of(Bodies(begin, advance, finish), {"lane": (REAL, REAL)}, widths)
+    program = Program.of(WHOLE, {"lane": (REAL, REAL)}, widths)
     record, final = program({"lane": (a, b)}, 13, 6)
     records, last = by_hand(a, b, 6)
     for ours, theirs in zip((*record, *final), (*records, *last), strict=True):
@@ -59,10 +113,37 @@ def test_a_carry_in_memory(widths, holding, monkeypatch):
         np.testing.assert_allclose(ours, theirs, rtol=1e-13, atol=1e-14)
 
 
+@pytest.mark.parametrize("holding", [2, 14])
+@pytest.mark.parametrize("widths", [(2,), (4,), (8,), (16,), (4, 8)])
+def test_values_of_32_bits_meet_values_of_64(widths, holding, monkeypatch):
+    """In one step, with conversions both ways and masks of both."""
+    monkeypatch.setitem(step.HOLDING, register(), holding)
+    found, (a, b, steps) = run(MIXED, widths)
+    expected = jax.tree.leaves(by_hand(a, b, steps, MIXED))
+    for ours, theirs in zip(found, expected, strict=True):
+        assert ours.dtype == theirs.dtype
+        if ours.dtype == np.float64:
+            np.testing.assert_allclose(ours, theirs, rtol=1e-13, atol=1e-14)
+        else:
+            np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize("holding", [3, 28])
+@pytest.mark.parametrize("widths", [(8,), (16,), (32,)])
+@pytest.mark.parametrize("bodies", [WHOLE, MIXED], ids=["doubles", "mixed"])
+def test_no_bits_depend_on_the_bytes_of_a_register(bodies, widths, holding, monkeypatch):
+    """Registers of 64 bytes, each of which this host may make of two of its own."""
+    monkeypatch.setattr(programs, "register", lambda: 32)
+    narrow, _ = run(bodies, (4,))
+    monkeypatch.setattr(programs, "register", lambda: 64)
+    monkeypatch.setitem(step.HOLDING, 64, holding)
+    for ours, theirs in zip(run(bodies, widths)[0], narrow, strict=True):
+        assert ours.dtype == theirs.dtype
+        np.testing.assert_array_equal(ours, theirs)
+
+
 def test_long_steps_take_fewer_lanes_at_a_time(monkeypatch):
-    made = lambda: Program.of(
-        Bodies(begin, advance, finish), {"lane": (REAL, REAL)}, (4, 8)
-    )
+    made = lambda: Program.of(WHOLE, {"lane": (REAL, REAL)}, (4, 8))
     a, b = np.random.default_rng(4).normal(size=(2, 13))
     wide = made()
     assert wide.width == 8

@@ -43,31 +43,37 @@ def _circular(x: Expression) -> tuple[Expression, Expression, Expression]:
     return shifted.bits(form.integer), sine, cosine
 
 
-def _odd(n: Expression) -> Expression:
-    """Whether a whole number is odd: its lowest bit is taken for a sign."""
-    return (n << (8 * n.dtype.itemsize - 1)) < 0
+class _Quadrant:
+    """Of a whole number n of right angles: whether it is odd, and the signs of sine and
+    cosine, all of which the two lowest bits tell."""
 
+    def __init__(self, n: Expression):
+        top = 8 * n.dtype.itemsize - 1
+        self.lowest, self.second = n << top, n << (top - 1)
+        self.sign = n.like(-(2**top))
+        self.odd = self.lowest < 0
 
-def _turned(n: Expression, value: Expression) -> Expression:
-    """`value` where n mod 4 is 0 or 1, and its negative otherwise."""
-    top = 8 * n.dtype.itemsize - 1
-    sign = (n << (top - 1)) & n.like(-(2**top))
-    return (value.bits(n.dtype) ^ sign).bits(value.dtype)
+    def signed(self, value: Expression, turn: Expression) -> Expression:
+        bits = value.bits(turn.dtype) ^ (turn & self.sign)
+        return bits.bits(value.dtype)
 
 
 def sin(x: Expression) -> Expression:
     n, sine, cosine = _circular(x)
-    return _turned(n, where(_odd(n), cosine, sine))
+    quadrant = _Quadrant(n)
+    return quadrant.signed(where(quadrant.odd, cosine, sine), quadrant.second)
 
 
 def cos(x: Expression) -> Expression:
     n, sine, cosine = _circular(x)
-    return _turned(n + 1, where(_odd(n), sine, cosine))
+    quadrant = _Quadrant(n)
+    turn = quadrant.second ^ quadrant.lowest
+    return quadrant.signed(where(quadrant.odd, sine, cosine), turn)
 
 
 def tan(x: Expression) -> Expression:
     n, sine, cosine = _circular(x)
-    odd = _odd(n)
+    odd = _Quadrant(n).odd
     return where(odd, -cosine, sine) / where(odd, sine, cosine)
 
 

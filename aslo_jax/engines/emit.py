@@ -8,18 +8,16 @@ for want of registers. Hence a step takes turns with several pointers to the fra
 LLVM does not know that they are the same.
 """
 
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from .frame import Frame
-from .instructions import SHIFTS, Writer, literal
+from .instructions import SHIFTS
 from .loop import Slot
-from .reduce import carries
+from .memory import POINTERS, Memory
+from .parts import Part
 from .registers import Instruction
 from .step import Step
-
-POINTERS = 6
 
 
 def emit(step: Step) -> str:
@@ -32,12 +30,9 @@ def emit(step: Step) -> str:
     return _Kernel(step).text()
 
 
-class _Kernel(Writer):
+class _Kernel(Memory):
     def __init__(self, step: Step):
-        super().__init__(step.width)
-        self.step, self.body, self.register = step, step.body, step.register
-        self.loop, self.graph = step.body.loop, step.body.loop.graph
-        self.varies = step.body.varies
+        super().__init__(step)
         self.scalars: dict[int, str] = {}
         self.vectors: dict[int, str] = {}
         self.inputs: dict[Slot, int] = {
@@ -45,9 +40,6 @@ class _Kernel(Writer):
             for n in self.varies
             if self.graph.nodes[n].op == "input"
         }
-        self.carried = [self.graph.dtype(n) for n in self.loop.carry]
-        self.frame = Frame()
-        self.turns = 0
 
     def operand(self, number: int, vector: bool) -> str:
         node = self.graph.nodes[number]
@@ -84,7 +76,6 @@ class _Kernel(Writer):
     # -- blocks --------------------------------------------------------------------------
 
     def text(self) -> str:
-        self._lay_out()
         self._entry()
         self._begin()
         self._advance()
@@ -108,45 +99,8 @@ class _Kernel(Writer):
             ]
         )
 
-    def _lay_out(self) -> None:
-        """Places for what a step reads and does not make: constants, what is fixed, and
-        the carry. An entry of it that is made before its predecessor is read for the last
-        time has two places; one that is made of that last reading needs only one."""
-        instructions = [e.instruction for e in self.step.events if e.instruction]
-        made = {x.number: time for time, x in enumerate(instructions)}
-        read = {a: time for time, x in enumerate(instructions) for a in x.args}
-        read |= {a: len(made) for n in self.body.record for a in self.graph.nodes[n].args}
-        read |= {n: len(made) for n in (*self.loop.carry, *self.loop.record)}
-        inputs = carries(self.graph, read)
-        double = [
-            made.get(n, -1) < read.get(inputs.get(i, -1), -1)
-            for i, n in enumerate(self.loop.carry)
-        ]
-        self.half = sum(
-            self._size(d) for d, two in zip(self.carried, double, strict=True) if two
-        )
-        ends = {True: 0, False: 2 * self.half}
-        self.carry_places: list[tuple[int, bool]] = []
-        for dtype, two in zip(self.carried, double, strict=True):
-            self.carry_places.append((ends[two], two))
-            ends[two] += self._size(dtype)
-        self.frame.place("carry", ends[False])
-        self.constants: dict[int, int] = {}  # their places
-        self.fixed: dict[int, int] = {}  # over time, and different for each lane
-        for number in read:
-            node = self.graph.nodes[number]
-            if node.op == "const" and node.data and node.dtype != np.bool_:
-                self.constants[number] = self.frame.place(number, self.register)
-            elif self.varies[number] == (False, True):
-                self.fixed[number] = self.frame.place(number, self._size(node.dtype))
-
-    def _size(self, dtype: np.dtype) -> int:
-        """Bytes of a vector of all lanes in the frame."""
-        return self.step.registers(dtype) * self.register
-
     def _entry(self) -> None:
         """Once: pointers, and what varies over neither time nor lanes."""
-        self.pointers: dict[Slot, str] = {}
         for k, slot in enumerate(self.loop.slots):
             place = self.define(f"getelementptr ptr, ptr %table, i64 {k}")
             self.pointers[slot] = self.define(f"load ptr, ptr {place}")
@@ -161,10 +115,9 @@ class _Kernel(Writer):
         self.compute(n for n, varies in self.varies.items() if varies == (False, False))
         for number, offset in self.constants.items():
             node = self.graph.nodes[number]
-            kind, lanes = self._one_register(node.dtype)
-            entry = f"{self.type(node.dtype, False)} {literal(node.data)}"
-            entries = ", ".join([entry] * lanes)
-            self.line(f"store {kind} <{entries}>, ptr {self._at(offset)}")
+            with self._on(self.register // node.dtype.itemsize):
+                value = self.constant(node.data, node.dtype, True)
+                self.store(value, self._at(offset), node.dtype)
         self.line("br label %block")
 
     def _begin(self) -> None:
@@ -189,40 +142,6 @@ class _Kernel(Writer):
             self._write("record", self.loop.first, "0")
         self.line("br label %time")
 
-    def _put(self, value: str, place: str, dtype: np.dtype) -> None:
-        """Into the frame, where a mask is as wide as it is in registers."""
-        if dtype != np.bool_:
-            return self.store(value, place, dtype)
-        kind, wide = self.type(dtype, True), self.type(np.int64, True)
-        if self.register < 64:
-            value, kind = self.define(f"sext {kind} {value} to {wide}"), wide
-        return self.line(f"store {kind} {value}, ptr {place}, align {self.register}")
-
-    def _got(self, place: str, dtype: np.dtype) -> str:
-        """From the frame."""
-        if dtype != np.bool_:
-            return self.load(place, dtype, True)
-        if self.register == 64:
-            kind = self.type(dtype, True)
-            return self.define(f"load {kind}, ptr {place}, align {self.register}")
-        kind = self.type(np.int64, True)
-        found = self.define(f"load {kind}, ptr {place}, align {self.register}")
-        return self.define(f"icmp slt {kind} {found}, zeroinitializer")
-
-    def _at(self, offset: int, base: str = "0", turn: bool = False) -> str:
-        """A pointer into the frame, for what is read many times one that takes turns."""
-        self.turns += turn
-        pointer = f"%frame{self.turns % POINTERS if turn else 0}"
-        if base != "0":
-            pointer = self.define(f"getelementptr i8, ptr {pointer}, i64 {base}")
-        return self.define(f"getelementptr i8, ptr {pointer}, i64 {offset}")
-
-    def _home(self, i: int, base: str) -> tuple[int, str]:
-        """Where the i-th entry of the carry is, that of `%now` or of `%next`: its offset
-        and what to add to it."""
-        offset, two = self.carry_places[i]
-        return offset, base if two else "0"
-
     def _keep(self, i: int, value: str, base: str) -> None:
         self._put(value, self._at(*self._home(i, base)), self.carried[i])
 
@@ -245,9 +164,10 @@ class _Kernel(Writer):
         self.label("advance")
         self.invariant = dict(self.vectors)  # a splat made in here is of no use after it
         for slot, number in self.inputs.items():
-            if slot[0] != "carry":
+            if slot[0] not in ("carry", "lane log"):
                 self._read(slot, number)
         self.compute(self.body.scalars)
+        self.spreads: dict[tuple[int, int], str] = {}
         self._make()
         self.line("%next_k = add i64 %k, 1")
         self.line("%fewer = sub i64 %left, 1")
@@ -259,65 +179,131 @@ class _Kernel(Writer):
         carry: dict[int, list[int]] = {}
         for i, number in enumerate(self.loop.carry):
             carry.setdefault(number, []).append(i)
-        leaving = self.body.leaving
-        made = {e.number for e in self.step.events if e.instruction}
-        home = {n: self._home(places[0], "%next") for n, places in carry.items()}
-        for n in leaving - carry.keys():
-            home[n] = self.frame.place(n, self._size(self.graph.dtype(n))), "0"
+        whole = {n: self._home(places[0], "%next") for n, places in carry.items()}
+        for n in self.body.leaving - carry.keys():
+            whole[n] = self.frame.place(n, self._size(self.graph.dtype(n))), "0"
+        home = {
+            v: (offset + self._first(v), base)
+            for n, (offset, base) in whole.items()
+            for v in self._parts(n)
+        }
+        self.parts: dict[Part, str] = {}
         for event in self.step.events:
-            number, dtype = event.number, self.graph.dtype(event.number)
-            if event.action == "load":
-                place = self._at(*home[number], turn=True)
-                self.vectors[number] = self._got(place, dtype)
-            elif event.action == "store":
-                home[number] = self.frame.place(number, self._size(dtype)), "0"
-                self._put(self.vectors[number], self._at(*home[number]), dtype)
-            elif event.action == "free":
-                self.frame.free(number)
-            elif event.instruction is not None:
-                value = self.vectors[number] = self._done(event.instruction, made)
-                for i in carry.get(number, ()):
-                    self._keep(i, value, "%next")
-                if number in leaving and number not in carry:
-                    self._put(value, self._at(*home[number]), dtype)
-        for number, places in carry.items():
-            for i in places if number not in made else ():
-                self._keep(i, self._given(number), "%next")
-        self.leaving = {n: home[n] for n in leaving}
+            value = event.value
+            dtype, lanes = self.graph.dtype(value.number), self._lanes(value.number)
+            with self._on(lanes):
+                if event.action == "load" and value.number not in self.made:
+                    self.parts[value] = self._lasting(value)
+                elif event.action == "drop":
+                    self.parts.pop(value)
+                elif event.action == "load":
+                    place = self._at(*home[value], turn=True)
+                    self.parts[value] = self._got(place, dtype)
+                elif event.action == "store":
+                    size = self._size(dtype) // self.step.parts(value.number)
+                    home[value] = self.frame.place(value, size), "0"
+                    self._put(self.parts[value], self._at(*home[value]), dtype)
+                elif event.action == "free":
+                    self.frame.free(value)
+                elif event.instruction is not None:
+                    self.parts[value] = self._done(event.instruction)
+                    for i in carry.get(value.number, ()):
+                        self._keep_part(i, value, self.parts[value])
+                    if value.number in self.body.leaving - carry.keys():
+                        self._put(self.parts[value], self._at(*home[value]), dtype)
+        for number in carry.keys() - self.made:
+            with self._on(self._lanes(number)):
+                for value in self._parts(number):
+                    given = (
+                        self._given(value) if self._differs(number) else self._alike(number)
+                    )
+                    for i in carry[number]:
+                        self._keep_part(i, value, given)
+        self.leaving = {n: whole[n] for n in self.body.leaving}
 
-    def _done(self, instruction: Instruction, made: Collection[int]) -> str:
+    def _keep_part(self, i: int, value: Part, name: str) -> None:
+        offset, base = self._home(i, "%next")
+        place = self._at(offset + self._first(value), base)
+        self._put(name, place, self.carried[i])
+
+    def _done(self, instruction: Instruction[Part]) -> str:
         """The name of what an instruction of a step makes."""
-        number, op, args = instruction
-        shift = len(args) - 1 if op in SHIFTS else -1  # by constants that are literal
-        x = [
-            self.vectors[a] if a in made else self._given(a, as_literal=k == shift)
-            for k, a in enumerate(args)
-        ]
-        return self.result(number, op, args, x, True)
+        (number, _), op, args = instruction
+        mine, position = self.step.parts(number), 0
+        nodes, x = [], []
+        while position < len(args):
+            first = args[position]
+            many = max(self.step.parts(first.number) // mine, 1)
+            if not self._differs(first.number):
+                many = 1
+            shift = op in SHIFTS and position + many == len(args)
+            x.append(self._operand(args[position : position + many], instruction, shift))
+            nodes.append(first.number)
+            position += many
+        return self.result(number, op, tuple(nodes), x, True)
 
-    def _given(self, number: int, as_literal: bool = False) -> str:
-        """What a step does not make, from the frame where it has a place there."""
-        node = self.graph.nodes[number]
-        kind = node.data[0] if node.op == "input" else node.op
-        if kind == "carry":
-            place = self._at(*self._home(node.data[1], "%now"), turn=True)
-            return self._got(place, node.dtype)
+    def _operand(
+        self, parts: Sequence[Part], instruction: Instruction[Part], literal: bool
+    ) -> str:
+        """Of an instruction, an argument in some parts; a constant as a `literal`."""
+        number, lanes = parts[0].number, self.width
+        alike = number not in self.made and not self._differs(number)
+        if (
+            alike
+            and not literal
+            and parts[0] in self.parts
+            and self._lanes(number) == lanes
+        ):
+            return self.parts[parts[0]]
+        if alike:
+            return self._alike(number, literal)
+        own, dtype = self._lanes(number), self.graph.dtype(number)
+        with self._on(own):
+            names = [self.parts.get(p) or self._given(p) for p in parts]
+        if len(parts) > 1:
+            return self.joined(names, dtype)
+        with self._on(own):
+            first = instruction.result.place * lanes - parts[0].place * own
+            return self.cut(names[0], max(first, 0), lanes, dtype)
+
+    def _lasting(self, value: Part) -> str:
+        if self._differs(value.number):
+            return self._given(value)
+        return self._alike(value.number)
+
+    def _differs(self, number: int) -> bool:
+        """Whether what a step does not make is another for each lane."""
+        return self.varies[number][1]
+
+    def _alike(self, number: int, literal: bool = False) -> str:
+        """What is the same for all lanes, on as many as vectors have."""
+        node, key = self.graph.nodes[number], (number, self.width)
+        if number in self.constants and not literal:
+            return self.load(self._at(self.constants[number], turn=True), node.dtype, True)
+        if node.op == "const":
+            return self.constant(node.data, node.dtype, True)
+        if node.op == "input" and node.data[0] in ("time", "log"):
+            place = self.offset(self.pointers[node.data], node.dtype, "%k")
+            return self.splat(self.load(place, node.dtype, False), node.dtype)
+        if key not in self.spreads:
+            self.spreads[key] = self.splat(self.scalars[number], node.dtype)
+        return self.spreads[key]
+
+    def _given(self, value: Part) -> str:
+        """A part of what a step does not make, and what is another for each lane."""
+        number, node = value.number, self.graph.nodes[value.number]
         if number in self.fixed:
-            return self._got(self._at(self.fixed[number], turn=True), node.dtype)
-        if number not in self.constants or as_literal:
-            return self.operand(number, True)
-        # One register for all vectors of the lanes.
-        whole, lanes = self._one_register(node.dtype)
-        place = self._at(self.constants[number], turn=True)
-        one = self.define(f"load {whole}, ptr {place}")
-        mask = ", ".join(f"i32 {k % lanes}" for k in range(self.width))
-        mask = f"<{self.width} x i32> <{mask}>"
-        return self.define(f"shufflevector {whole} {one}, {whole} poison, {mask}")
-
-    def _one_register(self, dtype: np.dtype) -> tuple[str, int]:
-        """The type of a vector that is one register, and its lanes."""
-        lanes = self.register // dtype.itemsize
-        return f"<{lanes} x {self.type(dtype, False)}>", lanes
+            place = self._at(self.fixed[number] + self._first(value), turn=True)
+            return self._got(place, node.dtype)
+        kind, i = node.data
+        if kind == "carry":
+            offset, base = self._home(i, "%now")
+            place = self._at(offset + self._first(value), base, turn=True)
+            return self._got(place, node.dtype)
+        row = self._place("%k", self.pointers[node.data], node.dtype)
+        return self.load(
+            self.offset(row, node.dtype, str(value.place * self.width)), node.dtype, True
+        )
 
     def _read(self, slot: Slot, number: int) -> None:
         """An input that varies over time."""

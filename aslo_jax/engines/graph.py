@@ -1,6 +1,7 @@
 """A graph of scalar operations: each is kept once, and constants are folded."""
 
 from collections.abc import Callable
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -113,10 +114,11 @@ class Graph:
         if value is not None:
             return on_true if value else on_false
         # A choice that has been made is not made again.
-        if self.nodes[on_true].op == "select" and self.nodes[on_true].args[0] == which:
-            on_true = self.nodes[on_true].args[1]
-        if self.nodes[on_false].op == "select" and self.nodes[on_false].args[0] == which:
-            on_false = self.nodes[on_false].args[2]
+        chosen, other = self.nodes[on_true], self.nodes[on_false]
+        if chosen.op == "select" and chosen.args[0] in self._all_of(which, "and"):
+            on_true = chosen.args[1]
+        if other.op == "select" and other.args[0] in self._all_of(which, "or"):
+            on_false = other.args[2]
         if on_true == on_false:
             return on_true
         args = (which, on_true, on_false)
@@ -125,9 +127,22 @@ class Graph:
             return which
         return self._number(("select", dtype, args), Node("select", dtype, args))
 
+    def _all_of(self, number: int, op: str) -> set[int]:
+        """A boolean and those that it joins by `and`, or by `or`."""
+        node = self.nodes[number]
+        inner = node.args if node.op == op and node.dtype == BOOL else ()
+        return {number, *inner}.union(*(self._all_of(a, op) for a in inner))
+
     def fma(self, x: int, y: int, z: int) -> int:
         """`x y + z`, rounded once."""
         dtype, args = self.dtype(x), (x, y, z)
+        values = [self.value(a) for a in args]
+        if dtype == np.float64 and all(v is not None and np.isfinite(v) for v in values):
+            a, b, c = (Fraction(float(v)) for v in values)
+            total = a * b + c
+            return self.const(
+                float(total) if total else values[0] * values[1] + values[2], dtype
+            )
         return self._number(("fma", dtype, args), Node("fma", dtype, args))
 
     def convert(self, x: int, dtype: Any) -> int:

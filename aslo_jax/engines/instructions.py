@@ -79,6 +79,33 @@ class Writer:
         mask = f"<{self.width} x i32> zeroinitializer"
         return self.define(f"shufflevector {wide} {one}, {wide} poison, {mask}")
 
+    def cut(self, vector: str, first: int, lanes: int, dtype: Any) -> str:
+        """So many lanes of a vector, from `first`."""
+        if (first, lanes) == (0, self.width):
+            return vector
+        wide = self.type(dtype, True)
+        mask = ", ".join(f"i32 {first + k}" for k in range(lanes))
+        return self.define(
+            f"shufflevector {wide} {vector}, {wide} poison, <{lanes} x i32> <{mask}>"
+        )
+
+    def joined(self, vectors: list[str], dtype: Any) -> str:
+        """A vector with the lanes of several, a power of two of them, that are alike."""
+        scalar, lanes = self.type(dtype, False), self.width // len(vectors)
+        while len(vectors) > 1:
+            kind, mask = (
+                f"<{lanes} x {scalar}>",
+                ", ".join(f"i32 {k}" for k in range(2 * lanes)),
+            )
+            vectors = [
+                self.define(
+                    f"shufflevector {kind} {a}, {kind} {b}, <{2 * lanes} x i32> <{mask}>"
+                )
+                for a, b in zip(vectors[::2], vectors[1::2], strict=True)
+            ]
+            lanes *= 2
+        return vectors[0]
+
     # -- operations ----------------------------------------------------------------------
 
     def operation(

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Iterable
 
 from .graph import Graph
 
@@ -51,3 +52,36 @@ class Loop:
             *(("record", i) for i in range(len(self.record))),
             *(("final", i) for i in range(len(self.final))),
         ]
+
+
+def moving(graph: Graph, numbers: Iterable[int]) -> dict[int, bool]:
+    """Whether nodes change over time, arguments first among the numbers."""
+    found: dict[int, bool] = {}
+    for number in numbers:
+        node = graph.nodes[number]
+        found[number] = (
+            node.data[0] not in ("shared", "lane")
+            if node.op == "input"
+            else any(found[a] for a in node.args)
+        )
+    return found
+
+
+def uniform(loop: Loop) -> set[int]:
+    """The entries of the carry that are the same for all lanes, and that follow from the
+    time index and from what is shared alone."""
+    graph = loop.graph
+    numbers = graph.reachable([*loop.begin, *loop.carry])
+    found = set(range(len(loop.carry)))
+    while True:
+        same: set[int] = set()
+        for number in numbers:
+            node = graph.nodes[number]
+            kind, i = node.data if node.op == "input" else ("shared", 0)
+            known = kind in ("step", "shared") or (kind == "carry" and i in found)
+            if known and same.issuperset(node.args):
+                same.add(number)
+        fewer = {i for i in found if {loop.begin[i], loop.carry[i]} <= same}
+        if fewer == found:
+            return found
+        found = fewer

@@ -24,9 +24,7 @@ LATENCY = {
     "div": 13,
     "sqrt": 20,
 }
-# Values that wait in registers, at most. On AVX2 with two vectors to a value the PMSM with
-# two observers runs 1.08 times as fast as in the order of its equations; from 4 to 8 it is
-# the same, above 20 the gain is gone.
+# Values that wait in registers, at most; from 4 to 12 it is the same.
 WAITING = 6
 
 

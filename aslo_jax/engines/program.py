@@ -1,8 +1,6 @@
 """A loop over time, traced, compiled, and run over lanes by a pool of threads."""
 
-import ctypes
 import functools
-import itertools
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -11,14 +9,19 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from .emit import emit
+from .choices import decided
+from .columns import COLUMNS, gathered
+from .factors import factored
 from .flatten import flatten
 from .graph import Graph
-from .host import available_threads, compiled, register, run_in_threads
+from .host import available_threads, register
+from .kernel import Kernel
 from .loop import Loop
+from .quotients import undivided
 from .reduce import reduced
+from .retime import retimed
 from .step import Body, Step, chosen
-from .timetable import timetable
+from .timetable import Tables, timetable
 
 KINDS = ("shared", "lane", "log", "lane log")
 # Of several threads one rewrites and compiles, and the others wait.
@@ -116,17 +119,20 @@ class Program:
         }
 
     @functools.cached_property
-    def _parts(self) -> tuple[Loop, Loop | None]:
+    def _parts(self) -> tuple[Loop, Tables]:
         with _COMPILING:
-            return timetable(reduced(self.raw))
+            return timetable(retimed(factored(undivided(decided(reduced(self.raw))))))
 
     @functools.cached_property
-    def _kernels(self) -> tuple[Callable[..., None], Callable[..., None] | None]:
-        _, table = self._parts
-        function = compiled(emit(self._step))
-        if table is None:
-            return function, None
-        return function, compiled(emit(Step(Body(table), self.width, register())))
+    def _kernels(self) -> tuple[Kernel, Kernel | None, Kernel | None]:
+        """The loop, and what makes its timetable."""
+        beside, along = self.tables
+        step = lambda loop, width: Kernel(Step(Body(loop), width, register()))
+        return (
+            Kernel(self._step),
+            None if beside is None else step(beside, self.width),
+            None if along is None else step(along, 1),
+        )
 
     @functools.cached_property
     def _step(self) -> Step:
@@ -142,7 +148,7 @@ class Program:
         return self._parts[0]
 
     @property
-    def table(self) -> Loop | None:
+    def tables(self) -> Tables:
         return self._parts[1]
 
     @classmethod
@@ -186,53 +192,27 @@ class Program:
         """The records and what is final, NumPy arrays with a leading axis of `lanes`;
         records have a second one of `steps // every`, and one more for the first."""
         with _COMPILING:
-            function, tabulate = self._kernels
+            kernel, *_ = self._kernels
         padded = -(-lanes // self.width) * self.width
         columns: dict[Any, np.ndarray] = {}
         for kind, tree in inputs.items():
-            made = _COLUMNS[kind](tree, padded)
+            made = COLUMNS[kind](tree, padded)
             columns |= {(kind, i): c for i, c in enumerate(made)}
-        columns |= self._times(tabulate, columns, steps)
-        rows = steps // every + (1 if self.loop.first else 0)
-        dtype = lambda number: _stored(self.loop.graph.dtype(number))
-        record = [np.empty((rows, padded), dtype(n)) for n in self.loop.record]
-        final = [np.empty(padded, dtype(n)) for n in self.loop.final]
-        columns |= {("record", i): c for i, c in enumerate(record)}
-        columns |= {("final", i): c for i, c in enumerate(final)}
-        table = _pointers(self.loop, columns)
-        address = ctypes.addressof(table)
-
-        def work(span: tuple[int, int]) -> None:
-            function(*span, padded, steps, every, address)
-
+        columns |= self._times(columns, steps)
         threads = available_threads() if threads is None else threads
-        run_in_threads(work, _spans(padded, self.width, threads), threads)
-        return _gathered(record, self.record, lanes), _gathered(final, self.final, lanes)
+        record, final = kernel(columns, padded, steps, every, threads)
+        return gathered(record, self.record, lanes), gathered(final, self.final, lanes)
 
-    def _times(
-        self,
-        tabulate: Callable[..., None] | None,
-        columns: dict[Any, np.ndarray],
-        steps: int,
-    ) -> dict[Any, np.ndarray]:
+    def _times(self, columns: dict[Any, np.ndarray], steps: int) -> dict[Any, np.ndarray]:
         """The columns of the timetable."""
-        table = self.table
-        if table is None or tabulate is None:
-            return {}
-        padded = -(-steps // self.width) * self.width
-        found = [np.empty(padded, _stored(table.graph.dtype(n))) for n in table.final]
-        given = columns | {("lane", 0): np.arange(padded)}
-        given |= {("final", i): c for i, c in enumerate(found)}
-        pointers = _pointers(table, given)
-        tabulate(0, padded, padded, 0, 1, ctypes.addressof(pointers))
+        _, beside, along = self._kernels
+        found: list[np.ndarray] = []
+        if beside is not None:
+            padded = -(-steps // beside.width) * beside.width
+            found += beside(columns | {("lane", 0): np.arange(padded)}, padded, 0)[1]
+        if along is not None:
+            found += along(columns, along.width, steps)[0]
         return {("time", i): c for i, c in enumerate(found)}
-
-
-def _pointers(loop: Loop, columns: dict[Any, np.ndarray]) -> ctypes.Array:
-    """The table that a kernel takes."""
-    slots = loop.slots
-    addresses = (columns[slot].ctypes.data for slot in slots)
-    return (ctypes.c_void_p * max(len(slots), 1))(*addresses)
 
 
 def _shapes(tree: PyTree) -> list[tuple[tuple[int, ...], np.dtype]]:
@@ -253,80 +233,3 @@ def _numbered(graph: Graph, kind: str, tree: PyTree) -> list[np.ndarray]:
 
 def flat(arrays: list[np.ndarray]) -> tuple[int, ...]:
     return tuple(int(n) for array in arrays for n in array.flat)
-
-
-def _stored(dtype: np.dtype) -> np.dtype:
-    return np.dtype(np.uint8) if dtype == np.bool_ else dtype
-
-
-def _columns(tree: PyTree, padded: int) -> list[np.ndarray]:
-    """Every entry of every leaf as a contiguous array over the lanes, the last lane
-    repeated up to `padded`."""
-    found = []
-    for leaf in jax.tree.leaves(tree):
-        leaf = np.asarray(leaf)
-        flat = leaf.reshape(len(leaf), -1).astype(_stored(leaf.dtype), copy=False)
-        wide = np.empty((flat.shape[1], padded), flat.dtype)
-        wide[:, : len(flat)] = flat.T
-        wide[:, len(flat) :] = flat[-1:].T
-        found += list(wide)
-    return found
-
-
-def _shared(tree: PyTree, padded: int) -> list[np.ndarray]:
-    return [
-        np.array([x], _stored(np.asarray(leaf).dtype))
-        for leaf in jax.tree.leaves(tree)
-        for x in np.asarray(leaf).reshape(-1)
-    ]
-
-
-def _logs(tree: PyTree, padded: int) -> list[np.ndarray]:
-    found = []
-    for leaf in jax.tree.leaves(tree):
-        leaf = np.asarray(leaf)
-        rows = leaf.reshape(len(leaf), -1).astype(_stored(leaf.dtype), copy=False)
-        found += [np.ascontiguousarray(rows[:, k]) for k in range(rows.shape[1])]
-    return found
-
-
-def _lane_logs(tree: PyTree, padded: int) -> list[np.ndarray]:
-    """Of leaves with axes of lanes and of steps: rows of steps, columns of lanes."""
-    found = []
-    for leaf in jax.tree.leaves(tree):
-        leaf = np.asarray(leaf)
-        rows = leaf.reshape(*leaf.shape[:2], -1).astype(_stored(leaf.dtype), copy=False)
-        for k in range(rows.shape[2]):
-            wide = np.empty((leaf.shape[1], padded), rows.dtype)
-            wide[:, : len(leaf)] = rows[:, :, k].T
-            wide[:, len(leaf) :] = rows[-1:, :, k].T
-            found.append(wide)
-    return found
-
-
-_COLUMNS = {"shared": _shared, "lane": _columns, "log": _logs, "lane log": _lane_logs}
-
-
-def _gathered(columns: list[np.ndarray], tree: PyTree, lanes: int) -> PyTree:
-    """A tree whose leaves have the axis of lanes first, then that of rows where there is
-    one, from a column for each of their entries."""
-    leaves, structure = jax.tree.flatten(tree)
-    found, first = [], 0
-    for s in leaves:
-        size = int(np.prod(s.shape, dtype=int))
-        group = columns[first : first + size]
-        first += size
-        lead = (lanes, *columns[0].shape[:-1]) if columns else (lanes,)
-        leaf = np.empty((*lead, size), s.dtype)
-        for k, column in enumerate(group):
-            leaf[..., k] = column[..., :lanes].T
-        found.append(leaf.reshape(*lead, *s.shape))
-    return jax.tree.unflatten(structure, found)
-
-
-def _spans(padded: int, width: int, threads: int) -> list[tuple[int, int]]:
-    """Some pieces for each thread, so that none waits long for another."""
-    blocks = padded // width
-    pieces = min(blocks, 8 * threads if threads > 1 else 1)
-    edges = [blocks * k // pieces * width for k in range(pieces + 1)]
-    return [(a, b) for a, b in itertools.pairwise(edges) if b > a]

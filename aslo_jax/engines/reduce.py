@@ -66,7 +66,15 @@ def merged(loop: Loop) -> Loop:
 
 def replaced(loop: Loop, new: Mapping[int, int]) -> Loop:
     """The loop with some nodes of a step replaced."""
-    found = rebuilt(loop.graph, [*loop.carry, *loop.record, *loop.final], new)
+    return mapped(loop, rebuilt(loop.graph, moving_roots(loop), new))
+
+
+def moving_roots(loop: Loop) -> list[int]:
+    return [*loop.carry, *loop.record, *loop.final]
+
+
+def mapped(loop: Loop, found: Mapping[int, int]) -> Loop:
+    """The loop with what has been found for the nodes of a step and of its end."""
     return dataclasses.replace(
         loop,
         carry=tuple(found[n] for n in loop.carry),

@@ -5,33 +5,35 @@ twice as many values as it must.
 """
 
 import bisect
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from typing import Generic, NamedTuple, TypeVar
 
 from .graph import Graph
 
+Value = TypeVar("Value")  # a node of a graph, or a part of it
 
-class Instruction(NamedTuple):
-    """`op` on some nodes, whose result is the node `number`. Besides the operations of a
-    graph there are `muladd` (`a b + c`), `mulsub` (`a b - c`) and `submul` (`c - a b`)."""
 
-    number: int
+class Instruction(NamedTuple, Generic[Value]):
+    """`op` on some values. Besides the operations of a graph there are `muladd` (`a b +
+    c`), `mulsub` (`a b - c`) and `submul` (`c - a b`)."""
+
+    result: Value
     op: str
-    args: tuple[int, ...]
+    args: tuple[Value, ...]
 
 
-class Event(NamedTuple):
-    """What comes next: `load` or `store` a value, `do` an instruction, or `free` the place
-    of a value that was stored."""
+class Event(NamedTuple, Generic[Value]):
+    """What comes next: `load` a value, `store` it and give its register away, `drop` it
+    from its register, `do` an instruction, or `free` the place of what was stored."""
 
     action: str
-    number: int
-    instruction: Instruction | None = None
+    value: Value
+    instruction: Instruction[Value] | None = None
 
 
 def selected(
     graph: Graph, numbers: Iterable[int], results: Collection[int]
-) -> list[Instruction]:
+) -> list[Instruction[int]]:
     """The operations of some nodes, in their order. A real product that only one sum or
     difference needs, and that is none of the `results`, is a part of it."""
     numbers = list(numbers)
@@ -64,48 +66,78 @@ def selected(
                 args = (*graph.nodes[second].args, first)
                 parts.add(second)
         found.append(Instruction(number, op, args))
-    return [x for x in found if x.number not in parts]
+    return [x for x in found if x.result not in parts]
+
+
+# What no instruction makes waits in a register if it is needed again within so many, and a
+# value that has a place in memory goes before one that has none and is needed so many times
+# as late.
+AGAIN = 12
+CLEAN = 5
 
 
 def planned(
-    instructions: Sequence[Instruction],
-    sizes: Mapping[int, int],
-    stored: Collection[int],
-    room: int,
-) -> Iterator[Event]:
+    instructions: Sequence[Instruction[Value]], stored: Collection[Value], room: int
+) -> Iterator[Event[Value]]:
     """The instructions with the loads and stores between them that keep the values that
-    wait within `room`, the sum of their `sizes`. What is `stored` when it is made has a
-    place in memory already. Arguments that no instruction makes do not count.
+    wait within `room`. What is `stored` when it is made has a place in memory already, and
+    so have arguments that no instruction makes.
 
-    Of several values the one goes that is needed last (Belady, doi:10.1147/sj.52.0078).
+    Of several values the one goes that is needed last (after Belady,
+    doi:10.1147/sj.52.0078).
     """
-    uses: dict[int, list[int]] = {x.number: [] for x in instructions}
+    uses: dict[Value, list[int]] = {x.result: [] for x in instructions}
+    made = {x.result: time for time, x in enumerate(instructions)}
     for time, instruction in enumerate(instructions):
-        for a in set(instruction.args) & uses.keys():
-            uses[a].append(time)
+        for a in set(instruction.args):
+            uses.setdefault(a, []).append(time)
 
-    def following(number: int, time: int) -> int | None:
-        later = bisect.bisect_right(uses[number], time)
-        return uses[number][later] if later < len(uses[number]) else None
+    def following(value: Value, time: int) -> int | None:
+        later = bisect.bisect_right(uses[value], time)
+        return uses[value][later] if later < len(uses[value]) else None
 
-    held: set[int] = set()
-    in_memory = set(stored)
-    for time, instruction in enumerate(instructions):
-        for a in dict.fromkeys(instruction.args):
-            if a in uses and a not in held:
-                yield Event("load", a)
-                held.add(a)
-        yield Event("do", instruction.number, instruction)
-        held.add(instruction.number)
-        then = {n: following(n, time) for n in held}
-        done = sorted(n for n in held if then[n] is None)
-        held -= set(done)
-        for n in done:
-            if n in in_memory and n not in stored:
-                yield Event("free", n)
-        while sum(sizes[n] for n in held) > room:
-            last = max(held, key=lambda n: (then[n], n))
+    held: set[Value] = set()
+    in_memory = set(stored) | (uses.keys() - made.keys())
+
+    def rank(value: Value, time: int) -> tuple[int, int]:
+        then = following(value, time)
+        assert then is not None, "what is needed no more does not wait"
+        clean = CLEAN if value in in_memory else 1
+        return (then - time) * clean, made.get(value, -1)
+
+    def room_for(more: int, time: int, but: Collection[Value]) -> Iterator[Event[Value]]:
+        """Values go until so many more are held than are now."""
+        others = {v: rank(v, time) for v in held if v not in but}
+        while others and len(held) + more > room:
+            last = max(others, key=others.__getitem__)
+            del others[last]
             held.remove(last)
-            if last not in in_memory:
-                yield Event("store", last)
-                in_memory.add(last)
+            yield Event("drop" if last in in_memory else "store", last)
+            in_memory.add(last)
+
+    for time, instruction in enumerate(instructions):
+        args = dict.fromkeys(instruction.args)
+        then = {a: following(a, time) for a in args}
+        last_uses = dict.fromkeys(a for a in args if then[a] is None)
+        loaded = [
+            a
+            for a, later in then.items()
+            if a not in held
+            and (a in made or (later is not None and later - time <= AGAIN))
+        ]
+        # An instruction reads one argument from memory itself; its result takes the place
+        # of one in a register that is needed no more.
+        read = len(args) - len(loaded) - len(held & args.keys())
+        free = any(a in held or a in loaded for a in last_uses)
+        yield from room_for(len(loaded) + max(read - 1, not free), time, args)
+        for a in loaded:
+            yield Event("load", a)
+            held.add(a)
+        yield Event("do", instruction.result, instruction)
+        held.add(instruction.result)
+        if following(instruction.result, time) is None:
+            last_uses[instruction.result] = None
+        held -= last_uses.keys()
+        for v in last_uses:
+            if v in made and v in in_memory and v not in stored:
+                yield Event("free", v)

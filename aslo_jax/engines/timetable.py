@@ -1,39 +1,71 @@
-"""What depends on time alone: computed for all steps beforehand, beside each other."""
+"""What a step needs and is the same for all lanes: computed for all steps beforehand."""
+
+import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 
-from .loop import Loop
-from .reduce import rebuilt, replaced
+from .loop import Loop, uniform
+from .reduce import lively, rebuilt
 
 
-def timetable(loop: Loop) -> tuple[Loop, Loop | None]:
-    """The loop with an input `("time", i)` for each value that its steps need and that
-    depends on the time index and on what is shared only; and what makes these: a loop
-    without steps, whose lanes are the steps, given their indices as `("lane", 0)`.
+class Tables(NamedTuple):
+    """What makes the inputs `("time", k)`: those of `beside` first, then those of `along`.
 
-    Without such a value there is no second loop."""
-    graph = loop.graph
-    step = loop.of_a_step()
+    - `beside`: what depends on the time index and on what is shared alone. A loop without
+      steps, whose lanes are the steps, given their indices as `("lane", 0)`, and whose
+      final values are the columns.
+    - `along`: what follows from step to step. A loop whose records are the columns.
+    """
+
+    beside: Loop | None
+    along: Loop | None
+
+
+def timetable(loop: Loop) -> tuple[Loop, Tables]:
+    """The loop with an input for each value that its steps need and that is the same for
+    all lanes, and what makes these."""
+    graph, step, alike = loop.graph, loop.of_a_step(), uniform(loop)
     timed: set[int] = set()  # functions of time and of what is shared
-    fixed: set[int] = set()  # of the latter alone
+    later: set[int] = set()  # also of what is carried
+    fixed: set[int] = set()  # of what is shared alone
     for number in step:
         node = graph.nodes[number]
         if node.op == "input":
-            kind = node.data[0]
-            (timed if kind == "step" else fixed if kind == "shared" else set()).add(number)
+            kind, i = node.data
+            if kind == "step":
+                timed.add(number)
+            elif kind == "shared":
+                fixed.add(number)
+            elif kind == "carry" and i in alike:
+                later.add(number)
         elif fixed.issuperset(node.args):
             fixed.add(number)
         elif all(a in timed or a in fixed for a in node.args):
             timed.add(number)
-    used = set(loop.carry) | set(loop.record)
+        elif all(a in timed or a in fixed or a in later for a in node.args):
+            later.add(number)
+    used = {n for i, n in enumerate(loop.carry) if i not in alike} | set(loop.record)
     for number in step:
-        if number not in timed:
+        if number not in timed and number not in later:
             used.update(graph.nodes[number].args)
-    wanted = [n for n in step if n in timed and n in used]
-    if not wanted:
-        return loop, None
-    new = {n: graph.input(graph.dtype(n), ("time", k)) for k, n in enumerate(wanted)}
-    index = graph.input(np.int64, ("lane", 0))
-    moved = rebuilt(graph, wanted, {graph.input(np.int64, ("step", 0)): index})
-    table = Loop(graph, (), (), final=tuple(moved[n] for n in wanted))
-    return replaced(loop, new), table
+    first = [n for n in step if n in timed and n in used]
+    second = [n for n in step if n in later and n in used]
+    new = {
+        n: graph.input(graph.dtype(n), ("time", k)) for k, n in enumerate([*first, *second])
+    }
+    beside = along = None
+    if first:
+        index = graph.input(np.int64, ("lane", 0))
+        moved = rebuilt(graph, first, {graph.input(np.int64, ("step", 0)): index})
+        beside = Loop(graph, (), (), final=tuple(moved[n] for n in first))
+    if second:
+        along = lively(dataclasses.replace(loop, record=tuple(second), first=(), final=()))
+    # What is final follows from the last carry, after all of the times.
+    found = rebuilt(graph, [*loop.carry, *loop.record], new)
+    rest = dataclasses.replace(
+        loop,
+        carry=tuple(found[n] for n in loop.carry),
+        record=tuple(found[n] for n in loop.record),
+    )
+    return lively(rest), Tables(beside, along)

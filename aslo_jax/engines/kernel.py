@@ -1,0 +1,56 @@
+"""A loop as machine code."""
+
+import ctypes
+from typing import Any
+
+import numpy as np
+
+from .columns import stored
+from .emit import emit
+from .host import compiled, run_in_threads
+from .step import Step
+
+
+class Kernel:
+    def __init__(self, step: Step):
+        self.loop, self.width = step.body.loop, step.width
+        self._function = compiled(emit(step))
+
+    def __call__(
+        self,
+        columns: dict[Any, np.ndarray],
+        lanes: int,
+        steps: int,
+        every: int = 1,
+        threads: int = 1,
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """From the columns of its inputs by their slots, those of the records, rows of
+        lanes, and of what is final; the lanes are a multiple of the width."""
+        loop = self.loop
+        rows = steps // every + (1 if loop.first else 0)
+        dtype = lambda number: stored(loop.graph.dtype(number))
+        record = [np.empty((rows, lanes), dtype(n)) for n in loop.record]
+        final = [np.empty(lanes, dtype(n)) for n in loop.final]
+        columns = columns | {("record", i): c for i, c in enumerate(record)}
+        columns |= {("final", i): c for i, c in enumerate(final)}
+        slots = loop.slots
+        table = (ctypes.c_void_p * max(len(slots), 1))(
+            *(columns[slot].ctypes.data for slot in slots)
+        )
+        address = ctypes.addressof(table)
+
+        def work(span: tuple[int, int]) -> None:
+            self._function(*span, lanes, steps, every, address)
+
+        run_in_threads(work, self._spans(lanes, threads), threads)
+        return record, final
+
+    def _spans(self, lanes: int, threads: int) -> list[tuple[int, int]]:
+        """Pieces for the threads, the last ones small, so that none waits long for
+        another."""
+        blocks, first, found = lanes // self.width, 0, []
+        while first < blocks:
+            size = blocks if threads == 1 else max((blocks - first) // (2 * threads), 1)
+            found.append((first * self.width, (first + size) * self.width))
+            first += size
+        return found
