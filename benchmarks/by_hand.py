@@ -6,6 +6,7 @@ import math
 import re
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from .motor_loop import (
 
 SOURCE = Path(__file__).with_name("pmsm.c")
 FLAGS = ["-O3", "-march=native", "-fno-math-errno", "-fopenmp", "-shared", "-fPIC"]
-# Up to a fifth faster: operations of the interleaved vectors take turns.
+# What GCC leaves out at -O3: with it, operations of the interleaved vectors take turns.
 SCHEDULED = ["-fschedule-insns", "-fsched-pressure"]
 WIDEST = 4  # vectors that are interleaved: 1, 2 or 4, the fastest counts
 
@@ -65,10 +66,11 @@ class _Settings(ctypes.Structure):
 
 
 class ByHand:
-    """`pmsm.c`, compiled into `folder` for some numbers of interleaved vectors."""
+    """`pmsm.c`, compiled into `folder` for some numbers of interleaved vectors, and with
+    more options of GCC."""
 
-    def __init__(self, folder: str):
-        self.folder = Path(folder)
+    def __init__(self, folder: str, more: Sequence[str] = ()):
+        self.folder, self.more = Path(folder), more
         self.blocks = [1, 2, WIDEST]
         self.libraries = {b: self._compiled(b) for b in self.blocks}
 
@@ -80,8 +82,8 @@ class ByHand:
         return ["gcc", *FLAGS, f"-DBLOCKS={blocks}", *more, str(SOURCE), "-lm"]
 
     def _compiled(self, blocks: int) -> ctypes.CDLL:
-        path = self.folder / f"pmsm{blocks}.so"
-        subprocess.run(self._command(blocks, *SCHEDULED, "-o", str(path)), check=True)
+        path = self.folder / f"pmsm{blocks}{''.join(self.more)}.so"
+        subprocess.run(self._command(blocks, *self.more, "-o", str(path)), check=True)
         return ctypes.CDLL(str(path))
 
     def sampled(self, blocks: int, batch, steps: int, threads: int, noisy: bool = False):

@@ -15,10 +15,12 @@ from pathlib import Path
 from typing import Any
 
 LANES, STEPS = 1024, 1000
+MANY = 4096  # lanes of fused and C, for which a thousand are done in hundredths of a second
 RUNS = 7
 SLOW_RUNS = 3  # of what takes seconds
 FEW = 4  # trajectories of the reference and of SciPy
 FIXED, ADAPTIVE = "diffrax Tsit5", "diffrax, adaptive"
+C, SCHEDULED = "C", "C, scheduled"
 TOLERANCE = 1e-6  # of the adaptive peers: their flux is then about as accurate as RK4's
 
 # The bounds.
@@ -72,12 +74,14 @@ def headline(folder: str, quick: bool) -> dict[str, Any]:
     import aslo_jax as aslo
 
     from . import loops, motor_loop as work, numba_loop, timing
-    from .by_hand import ByHand, solve_ivp
+    from .by_hand import SCHEDULED as MORE, ByHand, solve_ivp
 
-    batch = jax.tree.map(np.asarray, work.samples(LANES))
-    few = jax.tree.map(lambda x: x[:FEW], batch)
+    many = jax.tree.map(np.asarray, work.samples(MANY))
+    batch, few = (jax.tree.map(lambda x, n=n: x[:n], many) for n in (LANES, FEW))
     threads, runs = timing.processors(), 1 if quick else SLOW_RUNS
-    hand = ByHand(folder) if ByHand.available() else None
+    hands = (
+        {C: ByHand(folder), SCHEDULED: ByHand(folder, MORE)} if ByHand.available() else {}
+    )
 
     rows: list[dict[str, Any]] = []
     for noisy in (False, True):
@@ -85,19 +89,18 @@ def headline(folder: str, quick: bool) -> dict[str, Any]:
         fast = {}
         for n in sorted({threads, 1}, reverse=True):
             fast["fused", n, 0] = loops.sampled(
-                work.LOOP, "fused", batch, STEPS, n, noisy=noisy
+                work.LOOP, "fused", many, STEPS, n, noisy=noisy
             )
-            if hand is not None:
+            for name, hand in hands.items():
                 for blocks in hand.blocks:
-                    fast["C", n, blocks] = hand.sampled(blocks, batch, STEPS, n, noisy)
+                    fast[name, n, blocks] = hand.sampled(blocks, many, STEPS, n, noisy)
         seconds, values = timing.interleaved(fast, RUNS)
         for engine, n in dict.fromkeys(key[:2] for key in fast):
             # Of C the fastest number of interleaved vectors.
             second, key = min((seconds[k], k) for k in fast if k[:2] == (engine, n))
-            found = row(engine, noisy, second, LANES, values[key], exact, n)
-            if engine == "C":
-                assert hand is not None
-                found["operations"] = hand.operations(noisy)
+            found = row(engine, noisy, second, MANY, values[key], exact, n)
+            if engine in hands:
+                found["operations"] = hands[engine].operations(noisy)
                 difference = np.abs(values[key] - values["fused", n, 0])
                 found["agreement"] = float(difference.max())
             else:
@@ -154,12 +157,13 @@ def row(engine, noisy, seconds, lanes, value, exact, threads) -> dict[str, Any]:
 def speed(
     figures: dict[str, Any], engine: str, noisy: bool = False, threads: int | None = None
 ) -> float:
-    """Of the fastest contender whose name starts with `engine`, or not a number."""
+    """Of a contender, or of the fastest one of its kind, or not a number."""
     threads = figures["threads"] if threads is None else threads
     found = [
         r["speed"]
         for r in figures["rows"]
-        if r["engine"].startswith(engine) and (r["noisy"], r["threads"]) == (noisy, threads)
+        if f"{r['engine']} ".startswith(f"{engine} ")
+        and (r["noisy"], r["threads"]) == (noisy, threads)
     ]
     return max(found, default=float("nan"))
 
@@ -167,10 +171,10 @@ def speed(
 def report(figures: dict[str, Any]) -> list[str]:
     """Print the table of the headline; return what does not hold."""
     print(
-        f"PMSM, field-oriented control, ASLO and A-ASLO: {LANES:,} trajectories of "
-        f"{STEPS:,} steps of 0.1 ms, float64\n(SciPy: one process, {FEW} trajectories, "
-        f"extrapolated); medians of {RUNS} rounds in turn, {figures['slow runs']} of the "
-        f"slow ones; {figures['load before scaling']}"
+        f"PMSM, field-oriented control, ASLO and A-ASLO: {LANES:,} trajectories (fused and "
+        f"C {MANY:,}) of {STEPS:,} steps\nof 0.1 ms, float64 (SciPy: one process, {FEW} "
+        f"trajectories, extrapolated); medians of {RUNS} rounds in turn, "
+        f"{figures['slow runs']} of the slow ones;\n{figures['load before scaling']}"
     )
     print(
         f"  {'':<20}{'noise':>6}{'threads':>9}{'M steps/s':>11}{'fused /':>9}{'ops':>6}"
@@ -194,19 +198,22 @@ def report(figures: dict[str, Any]) -> list[str]:
         "and RungeKutta4 (the library's) take steps of 0.1 ms, as many as the sampled\n  "
         f"loops; diffrax, adaptive is Tsit5 at {TOLERANCE:g}, as is SciPy. Operations: of "
         "fused, those of its graph;\n  of C, the vector instructions of its loop. A "
-        "product with a sum counts as two."
+        "product with a sum counts as two. C, scheduled: with\n  -fschedule-insns and "
+        "-fsched-pressure."
     )
     failures = []
     for noisy, bound in ((False, OVER_C), (True, OVER_C_NOISY)):
         check(
             failures,
-            speed(figures, "fused", noisy) / speed(figures, "C", noisy),
+            speed(figures, "fused", noisy) / speed(figures, C, noisy),
             bound,
             "fused / C" + (" with noise" if noisy else ""),
         )
-        one = speed(figures, "fused", noisy, 1) / speed(figures, "C", noisy, 1)
-        if one == one:
-            print(f"    with one thread each  {one:>9.4g}")
+        for name, n in ((C, 1), (SCHEDULED, None), (SCHEDULED, 1)):
+            ratio = speed(figures, "fused", noisy, n) / speed(figures, name, noisy, n)
+            what = name + (", one thread each" if n else "")
+            if ratio == ratio:
+                print(f"    {what:<30}{ratio:>9.4g}")
     fused = speed(figures, "fused")
     check(failures, fused / speed(figures, FIXED), OVER_DIFFRAX, "fused / diffrax")
     print(f"    with adaptive steps   {fused / speed(figures, ADAPTIVE):>9.4g}")
@@ -253,7 +260,7 @@ def main(quick: bool = False) -> list[str]:
     return failures
 
 
-PEERS = {"C": "C", "diffrax": FIXED, "scipy": "SciPy"}
+PEERS = {"C": C, "diffrax": FIXED, "scipy": "SciPy"}
 
 if __name__ == "__main__":
     contend(*sys.argv[1:])
