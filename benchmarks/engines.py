@@ -8,8 +8,8 @@ from typing import Any
 
 RUNS = 7
 LANES, STEPS = 1024, 1000
+# Up to which the size of the batch is varied.
 SIZES = {"fused": 10**6, "C": 10**6, "Numba": 10**4, "scan": 10**4, "diffrax": 10**3}
-SIZE_STEPS = 500  # over which the size of the batch is varied, up to the above
 SAMPLES = 1_000_000  # of the replay
 
 # The bounds.
@@ -169,21 +169,21 @@ def sizes() -> dict[str, list[dict[str, float]]]:
         for count in (10**k for k in range(7)):
             batch, threads = _batch(count), timing.processors()
             each = {
-                "fused": lambda b=batch: loops.sampled(work.LOOP, "fused", b, SIZE_STEPS),
-                "scan": lambda b=batch: loops.sampled(work.LOOP, "scan", b, SIZE_STEPS),
-                "diffrax": lambda b=batch: loops.continuous(work.LOOP, b, SIZE_STEPS),
+                "fused": lambda b=batch: loops.sampled(work.LOOP, "fused", b, STEPS),
+                "scan": lambda b=batch: loops.sampled(work.LOOP, "scan", b, STEPS),
+                "diffrax": lambda b=batch: loops.continuous(work.LOOP, b, STEPS),
             }
             if hand:
-                of_c = lambda b=batch, n=threads: hand.sampled(2, b, SIZE_STEPS, n)
+                of_c = lambda b=batch, n=threads: hand.sampled(2, b, STEPS, n)
                 each["C"] = of_c
             if numba_loop.available():
-                of_numba = lambda b=batch, n=threads: numba_loop.sampled(b, SIZE_STEPS, n)
+                of_numba = lambda b=batch, n=threads: numba_loop.sampled(b, STEPS, n)
                 each["Numba"] = of_numba
             run |= {(k, count): f() for k, f in each.items() if count <= SIZES[k]}
         seconds, _ = timing.interleaved(run, 3)
     found: dict[str, list[dict[str, float]]] = {}
     for (name, count), second in seconds.items():
-        speed = count * SIZE_STEPS / second / 1e6
+        speed = count * STEPS / second / 1e6
         found.setdefault(name, []).append({"lanes": count, "speed": speed})
     return found
 

@@ -267,6 +267,7 @@ class _Kernel(Memory):
             return self.cut(names[0], max(first, 0), lanes, dtype)
 
     def _lasting(self, value: Part) -> str:
+        """What a step does not make, in a register for several instructions."""
         if self._differs(value.number):
             return self._given(value)
         return self._alike(value.number)
