@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from aslo_jax.engines.loop import moving
+from aslo_jax.engines.loop import varying
 from aslo_jax.engines.program import Bodies, Program
 from aslo_jax.engines.registers import selected
 
@@ -62,8 +62,8 @@ def check(begin, advance, finish, steps=7, *, record=None, x=X, widths=(4,), rto
 def operations(loop):
     """How many instructions of each kind a step takes for its carry."""
     graph, carry = loop.graph, loop.carry
-    moves = moving(graph, graph.reachable(list(carry)))
-    made = selected(graph, [n for n in moves if moves[n]], carry)
+    varies = varying(graph, graph.reachable(list(carry)))
+    made = selected(graph, [n for n, (over_time, _) in varies.items() if over_time], carry)
     return collections.Counter(instruction.op for instruction in made)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from .graph import BOOL, Graph
 from .loop import Loop
-from .reduce import mapped, moving_roots
+from .reduce import mapped, moving_roots, rebuilt
 
 Fact = tuple[int, bool]  # a condition, and whether it holds
 
@@ -18,10 +18,9 @@ def decided(loop: Loop) -> Loop:
     """The loop without choices whose outcome shows only where their condition is known, as
     that of `where(x > 0, 1 / where(x > 0, x, 1), 0)` within the other one."""
     graph, roots = loop.graph, moving_roots(loop)
-    numbers = graph.reachable(roots)
     known: dict[int, frozenset[Fact]] = dict.fromkeys(roots, frozenset())
     taken = {}
-    for number in reversed(numbers):
+    for number in reversed(graph.reachable(roots)):
         facts, node = known[number], graph.nodes[number]
         if node.op == "select" and node.dtype.kind == "f":
             which, on_true, on_false = node.args
@@ -31,12 +30,8 @@ def decided(loop: Loop) -> Loop:
                 taken[number] = on_false
         for a, more in _shown(graph, number, facts):
             known[a] = known[a] & more if a in known else more
-    found: dict[int, int] = {}
-    for number in numbers:
-        args = tuple(found[a] for a in graph.nodes[number].args)
-        same = taken.get(number)
-        found[number] = graph.again(number, args) if same is None else found[same]
-    return mapped(loop, found)
+    same = lambda number, found: found.get(taken.get(number))
+    return mapped(loop, rebuilt(graph, roots, other=same))
 
 
 def _shown(

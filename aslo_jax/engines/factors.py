@@ -8,10 +8,13 @@ needed times. Results differ by rounding only, where no product of factors overf
 import dataclasses
 import functools
 
-from .loop import Loop, moving
+from .loop import Loop, varying
+from .reduce import mapped, moving_roots
 from .registers import selected
 from .terms import Terms
 
+# Operations that take a factor of their arguments with them.
+LINEAR = {"add", "sub", "mul", "div", "neg", "abs", "select"}
 TRIALS = 8  # of entries that the next step multiplies, each of which takes a rewriting
 
 
@@ -29,8 +32,9 @@ def factored(loop: Loop) -> Loop:
 def instructions(loop: Loop) -> int:
     """How many a step takes."""
     graph = loop.graph
-    moves = moving(graph, graph.reachable(list(loop.carry)))
-    return len(selected(graph, [n for n in moves if moves[n]], loop.carry))
+    varies = varying(graph, graph.reachable(list(loop.carry)))
+    moving = [n for n, (over_time, _) in varies.items() if over_time]
+    return len(selected(graph, moving, loop.carry))
 
 
 def _settled(loop: Loop, wanted: dict[int, int]) -> "_Factored":
@@ -51,19 +55,14 @@ class _Factored(Terms):
     @functools.cached_property
     def loop(self) -> Loop:
         loop = self.old
-        begin, carry = list(loop.begin), [self.whole(n) for n in loop.carry]
+        made = mapped(loop, {n: self.whole(n) for n in moving_roots(loop)})
+        begin, carry = list(loop.begin), list(made.carry)
         for i, factor in self.factors.items():
             first, term = self._without(begin[i], factor), self.terms[loop.carry[i]]
             assert first is not None, "the factor of an entry is one of its first value"
             ratio = self._over(term.factor, factor)
             begin[i], carry[i] = first, self.signed(term._replace(factor=ratio))
-        return dataclasses.replace(
-            loop,
-            begin=tuple(begin),
-            carry=tuple(carry),
-            record=tuple(self.whole(n) for n in loop.record),
-            final=tuple(self.whole(n) for n in loop.final),
-        )
+        return dataclasses.replace(made, begin=tuple(begin), carry=tuple(carry))
 
     @functools.cached_property
     def operations(self) -> int:
@@ -99,9 +98,8 @@ class _Factored(Terms):
             known = i in self.factors or i in self.uniform
             for user in () if known else self.users[number]:
                 value = self._multiplier(user, number)
-                linear = {"add", "sub", "mul", "div", "neg", "abs", "select"}
                 ops = {self.graph.nodes[n].op for n in self.users[user]}
-                if value is not None and not ops <= linear:
+                if value is not None and not ops <= LINEAR:
                     factor = self.graph.op("div", self.one(number), value)
                     if self._moderate(factor):
                         found.append({i: factor})

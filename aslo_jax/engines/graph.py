@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 BOOL = np.dtype(bool)
+Value = TypeVar("Value")
 
 
 class Node(NamedTuple):
@@ -278,6 +279,21 @@ class Graph:
                     both = self.const(value * self.value(inner), node.dtype)
                 return self.op("mul", both, rest)
         return None
+
+    def followed(
+        self, number: int, known: dict[int, Value], make: Callable[[int], Value]
+    ) -> Value:
+        """What `make` gives for a node from what is `known` of its arguments, and has given
+        for these before it."""
+        left = [number]
+        while number not in known:
+            n = left[-1]
+            missing = [a for a in self.nodes[n].args if a not in known]
+            left += missing
+            if not missing:
+                known[n] = make(n)
+                left.pop()
+        return known[number]
 
     def reachable(self, roots: list[int]) -> list[int]:
         """The nodes that `roots` need, themselves included, arguments first."""

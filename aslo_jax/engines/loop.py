@@ -54,16 +54,12 @@ class Loop:
         ]
 
 
-def moving(graph: Graph, numbers: Iterable[int]) -> dict[int, bool]:
-    """Whether nodes change over time, arguments first among the numbers."""
-    found: dict[int, bool] = {}
+def varying(graph: Graph, numbers: Iterable[int]) -> dict[int, tuple[bool, bool]]:
+    """Whether nodes change over time, and over lanes; arguments come first."""
+    found: dict[int, tuple[bool, bool]] = {}
     for number in numbers:
         node = graph.nodes[number]
-        found[number] = (
-            node.data[0] not in ("shared", "lane")
-            if node.op == "input"
-            else any(found[a] for a in node.args)
-        )
+        found[number] = node.varies([found[a] for a in node.args])
     return found
 
 

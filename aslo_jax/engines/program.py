@@ -16,7 +16,7 @@ from .flatten import flatten
 from .graph import Graph
 from .host import available_threads, register
 from .kernel import Kernel
-from .loop import Loop
+from .loop import Loop, varying
 from .quotients import undivided
 from .reduce import reduced
 from .retime import retimed
@@ -172,11 +172,9 @@ class Program:
         """How many operations one step of one lane takes, a product with a sum counted as
         two; what a step shares with all others or all lanes is not counted."""
         nodes, total = self.loop.graph.nodes, 0
-        varies: dict[int, tuple[bool, bool]] = {}
-        for number in self.loop.of_a_step():
+        for number, varies in varying(self.loop.graph, self.loop.of_a_step()).items():
             node = nodes[number]
-            varies[number] = node.varies([varies[a] for a in node.args])
-            if node.op not in ("const", "input") and all(varies[number]):
+            if node.op not in ("const", "input") and all(varies):
                 total += 2 if node.op == "fma" else 1
         return total
 

@@ -1,31 +1,26 @@
 """Comparisons of quotients with constants, without the division."""
 
-import collections
 from collections.abc import Mapping
 
 from .graph import Graph
 from .loop import Loop
-from .reduce import mapped, moving_roots
+from .reduce import counted, mapped, moving_roots, rebuilt
 
 
 def undivided(loop: Loop) -> Loop:
     """The loop with `n / x > k` as `x >= 0` and `x < n / k`, for positive constants n and
     k, where nothing else needs the quotient, or what chooses between it and a constant.
     They differ by rounding, and for a negative zero x, only."""
-    graph, roots = loop.graph, moving_roots(loop)
-    numbers = graph.reachable(roots)
-    uses = collections.Counter(a for n in numbers for a in graph.nodes[n].args)
-    uses.update(roots)
-    found: dict[int, int] = {}
-    for number in numbers:
-        node, made = graph.nodes[number], None
-        if node.op in ("gt", "lt"):
-            above, below = node.args if node.op == "gt" else node.args[::-1]
-            made = _greater(graph, uses, found, above, below)
-        if made is None:
-            made = graph.again(number, tuple(found[a] for a in node.args))
-        found[number] = made
-    return mapped(loop, found)
+    graph, uses = loop.graph, counted(loop)
+
+    def compared(number: int, found: Mapping[int, int]) -> int | None:
+        node = graph.nodes[number]
+        if node.op not in ("gt", "lt"):
+            return None
+        above, below = node.args if node.op == "gt" else node.args[::-1]
+        return _greater(graph, uses, found, above, below)
+
+    return mapped(loop, rebuilt(graph, moving_roots(loop), other=compared))
 
 
 def _greater(

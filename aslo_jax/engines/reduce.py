@@ -1,8 +1,9 @@
 """A loop with less to do in a step: carries that are always equal are one, and what the end
 of a step has computed is not computed again at the start of the next."""
 
+import collections
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from .graph import Graph
 from .loop import Loop
@@ -16,14 +17,21 @@ def reduced(loop: Loop) -> Loop:
     return lively(merged(lively(kept(lively(merged(loop))))))
 
 
-def rebuilt(graph: Graph, roots: Iterable[int], new: Mapping[int, int]) -> dict[int, int]:
-    """The nodes that `roots` need, with some replaced by `new` ones: from the old to the
-    new."""
+def rebuilt(
+    graph: Graph,
+    roots: Iterable[int],
+    new: Mapping[int, int] = {},
+    other: Callable[[int, dict[int, int]], int | None] = lambda number, found: None,
+) -> dict[int, int]:
+    """The nodes that `roots` need, with some replaced by `new` ones, or by what `other`
+    makes of one and of what has been found before it: from the old to the new."""
     found = dict(new)
     for number in graph.reachable(list(roots)):
         if number not in found:
-            node = graph.nodes[number]
-            found[number] = graph.again(number, tuple(found[a] for a in node.args))
+            args, made = graph.nodes[number].args, other(number, found)
+            if made is None:
+                made = graph.again(number, tuple(found[a] for a in args))
+            found[number] = made
     return found
 
 
@@ -71,6 +79,14 @@ def replaced(loop: Loop, new: Mapping[int, int]) -> Loop:
 
 def moving_roots(loop: Loop) -> list[int]:
     return [*loop.carry, *loop.record, *loop.final]
+
+
+def counted(loop: Loop) -> collections.Counter[int]:
+    """How often each node of a step and of its end is needed."""
+    graph, roots = loop.graph, moving_roots(loop)
+    uses = collections.Counter(roots)
+    uses.update(a for n in graph.reachable(roots) for a in graph.nodes[n].args)
+    return uses
 
 
 def mapped(loop: Loop, found: Mapping[int, int]) -> Loop:

@@ -1,13 +1,12 @@
 """Sums of two entries of a carry, made at the end of the step before the one that needs
 them: there is less to carry."""
 
-import collections
 import dataclasses
 from collections.abc import Mapping
 
 from .graph import Graph
-from .loop import Loop, moving
-from .reduce import carries, lively, mapped, moving_roots, rebuilt
+from .loop import Loop, varying
+from .reduce import carries, counted, lively, mapped, moving_roots, rebuilt
 
 
 def retimed(loop: Loop) -> Loop:
@@ -20,23 +19,23 @@ def retimed(loop: Loop) -> Loop:
 
 def _sums_of_two(loop: Loop) -> dict[int, int]:
     """Sums of a step of two entries that only they need: the first of the two."""
-    graph, roots = loop.graph, moving_roots(loop)
-    numbers = graph.reachable(roots)
-    moves = moving(graph, numbers)
-    uses = collections.Counter(a for n in numbers for a in graph.nodes[n].args)
-    uses.update(roots)
-    found = {}
-    for number in graph.reachable(list(loop.carry)):
+    graph, uses, found = loop.graph, counted(loop), {}
+    step = graph.reachable(list(loop.carry))
+    varies = varying(graph, step)
+    for number in step:
         node = graph.nodes[number]
         if node.op in ("add", "sub") and node.dtype.kind == "f":
-            first, second = (_entry(graph, uses, moves, a) for a in node.args)
-            if first is not None and second is not None and first != second:
+            first, second = (_entry(graph, uses, varies, a) for a in node.args)
+            if first is not None and second is not None:
                 found[number] = first
     return found
 
 
 def _entry(
-    graph: Graph, uses: Mapping[int, int], moves: Mapping[int, bool], number: int
+    graph: Graph,
+    uses: Mapping[int, int],
+    varies: Mapping[int, tuple[bool, bool]],
+    number: int,
 ) -> int | None:
     """The entry of the carry that a node is, or is a multiple of, and that is needed only
     for that."""
@@ -47,8 +46,9 @@ def _entry(
         return node.data[1]
     if node.op == "mul":
         for a, b in (node.args, node.args[::-1]):
-            if not moves[b]:
-                return _entry(graph, uses, moves, a)
+            over_time, _ = varies[b]
+            if not over_time:
+                return _entry(graph, uses, varies, a)
     return None
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from .loop import Loop
+from .loop import Loop, varying
 from .order import depth_first, ordered
 from .pace import cycles
 from .parts import Part, in_parts
@@ -30,10 +30,7 @@ class Body:
 
     def __init__(self, loop: Loop):
         self.loop, graph = loop, loop.graph
-        self.varies: dict[int, tuple[bool, bool]] = {}
-        for number in loop.needed():
-            node = graph.nodes[number]
-            self.varies[number] = node.varies([self.varies[a] for a in node.args])
+        self.varies = varying(graph, loop.needed())
         whole = graph.reachable(list(loop.carry))
         step = self.moving(whole)
         rest = set(graph.reachable(list(loop.record))) - set(whole)

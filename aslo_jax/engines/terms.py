@@ -13,7 +13,7 @@ import numpy as np
 
 from .loop import Loop, uniform
 from .order import latency
-from .reduce import carries, moving_roots
+from .reduce import carries, counted, moving_roots
 
 # Factors of other sizes stay where they are: a product of two might overflow.
 MODERATE = {np.dtype(np.float64): 1e60, np.dtype(np.float32): 1e12}
@@ -52,15 +52,13 @@ class Terms:
     ):
         self.old, self.graph = loop, loop.graph
         self.factors, self.scaled = factors, scaled
-        roots = moving_roots(loop)
-        self.numbers = self.graph.reachable(roots)
+        self.numbers = self.graph.reachable(moving_roots(loop))
         self.entries = carries(self.graph, self.numbers)
         self.users: dict[int, list[int]] = collections.defaultdict(list)
         for n in self.numbers:
             for a in self.graph.nodes[n].args:
                 self.users[a].append(n)
-        self.uses = collections.Counter(roots)
-        self.uses.update({n: len(users) for n, users in self.users.items()})
+        self.uses = counted(loop)
         self.uniform = uniform(loop)
         self._kinds: dict[int, tuple[bool, bool]] = {}
         self.moving = {n: all(self.kind(n)) for n in self.numbers}
@@ -78,25 +76,17 @@ class Terms:
         return frozenset(k for k, found in self.requests.items() if len(found) > 1)
 
     def kind(self, number: int) -> tuple[bool, bool]:
-        """Whether a node changes over time, and over lanes."""
-        left = [number]
-        while left:
-            n = left[-1]
-            node = self.graph.nodes[n]
-            missing = [a for a in node.args if a not in self._kinds]
-            if missing:
-                left += missing
-                continue
-            left.pop()
-            if node.op == "input":
-                source, i = node.data
-                alike = source == "carry" and i in self.uniform
-                same = alike or source in ("step", "shared")
-                self._kinds[n] = source not in ("shared", "lane"), not same
-            else:
-                kinds = [self._kinds[a] for a in node.args]
-                self._kinds[n] = any(t for t, _ in kinds), any(x for _, x in kinds)
-        return self._kinds[number]
+        """Whether a node changes over time, and over lanes, as logs are taken to do."""
+        return self.graph.followed(number, self._kinds, self._kind)
+
+    def _kind(self, number: int) -> tuple[bool, bool]:
+        node = self.graph.nodes[number]
+        over_time, over_lanes = node.varies([self._kinds[a] for a in node.args])
+        if node.op == "input":
+            source, i = node.data
+            alike = source == "carry" and i in self.uniform
+            over_lanes = source == "log" or (over_lanes and not alike)
+        return over_time, over_lanes
 
     # -- factors -------------------------------------------------------------------------
 
@@ -267,7 +257,7 @@ class Terms:
             return one
         if constant is not None and self.value(constant) is None:
             return one
-        multipliers = {self._multiplier(u, number) for u in self.users[number]} - {None}
+        multipliers = (self._multiplier(u, number) for u in self.users[number])
         inverse = {self.graph.op("div", one, m) for m in multipliers if m is not None}
 
         def worth(factor: int) -> tuple[int, bool, int]:
@@ -314,15 +304,9 @@ class Terms:
 
     def _depth(self, number: int) -> int:
         """Cycles until a node is there, at least."""
-        left = [number]
-        while left:
-            n = left[-1]
+
+        def later(n: int) -> int:
             node = self.graph.nodes[n]
-            missing = [a for a in node.args if a not in self.depths]
-            if missing:
-                left += missing
-                continue
-            before = max((self.depths[a] for a in node.args), default=0)
-            self.depths[n] = before + latency(node)
-            left.pop()
-        return self.depths[number]
+            return latency(node) + max((self.depths[a] for a in node.args), default=0)
+
+        return self.graph.followed(number, self.depths, later)
