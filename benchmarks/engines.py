@@ -276,13 +276,15 @@ def plot(figures: dict[str, Any], path: str) -> None:
     matplotlib.use("agg")
     import matplotlib.pyplot as plt
 
+    from .pmsm import of_kind
+
     _, axes = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
     sizes = figures["scaling"].get("sizes", {})
     for name, rows in sizes.items():
         x, y = [r["lanes"] for r in rows], [1e6 * r["speed"] for r in rows]
         axes.loglog(x, y, "o-", label=name)
     for r in figures["rows"]:
-        known = any(r["engine"].startswith(name) for name in sizes)
+        known = any(of_kind(r["engine"], name) for name in sizes)
         if not known and not r["noisy"] and r["threads"] == figures["threads"]:
             axes.loglog(r["lanes"], 1e6 * r["speed"], "s", label=r["engine"])
     axes.set(xlabel="trajectories", ylabel="steps of a trajectory per second")

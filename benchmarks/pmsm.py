@@ -162,8 +162,7 @@ def speed(
     found = [
         r["speed"]
         for r in figures["rows"]
-        if f"{r['engine']} ".startswith(f"{engine} ")
-        and (r["noisy"], r["threads"]) == (noisy, threads)
+        if of_kind(r["engine"], engine) and (r["noisy"], r["threads"]) == (noisy, threads)
     ]
     return max(found, default=float("nan"))
 
@@ -222,6 +221,11 @@ def report(figures: dict[str, Any]) -> list[str]:
         if r.get("agreement", 0.0) > AGREEMENT:
             failures.append(f"C and fused differ by {r['agreement']:.1e} Wb.")
     return failures
+
+
+def of_kind(name: str, kind: str) -> bool:
+    """Whether a contender is the one of that name, or one of that kind."""
+    return f"{name} ".startswith(f"{kind} ")
 
 
 def check(failures: list[str], value: float, bound: float, what: str) -> None:
