@@ -4,9 +4,10 @@ Source: reduction and polynomials after fdlibm (Sun Microsystems, 1993).
 """
 
 import math
+from fractions import Fraction
 
 from .expression import Expression, horner, where
-from .formats import format_of
+from .formats import HALF_PI, Format, format_of
 
 SIN = (
     1.58969099521155010221e-10,
@@ -26,14 +27,54 @@ COS = (
 )
 
 
+def _in_right_angles(coefficients: tuple[float, ...], power: int) -> tuple[float, ...]:
+    """Of a polynomial in x^2, times x^power, those for x in units of pi/2."""
+    unit, last = Fraction(HALF_PI), len(coefficients) - 1
+    powers = (power + 2 * (last - k) for k in range(last + 1))
+    return tuple(
+        float(Fraction(c) * unit**p) for c, p in zip(coefficients, powers, strict=True)
+    )
+
+
+SIN_OF_RIGHT = _in_right_angles((*SIN, 1.0), 1)  # without the first factor of the sine
+COS_OF_RIGHT = _in_right_angles((*COS, -0.5, 1.0), 0)
+
+
 def _circular(x: Expression) -> tuple[Expression, Expression, Expression]:
     """The multiple n of pi/2 nearest to x, a whole number whose low bits count, and sine
     and cosine of what is left."""
+    return _of_computed(x) if _computed(x) else _of_given(x)
+
+
+def _computed(x: Expression) -> bool:
+    """Whether it is the result of a sum or a product, or of the step before: then it has
+    been rounded, and its multiple in right angles is as exact as it is."""
+    node = x.graph.nodes[x.number]
+    carried = node.op == "input" and node.data[0] == "carry"
+    return carried or node.op in ("add", "sub", "mul", "fma")
+
+
+def _of_computed(x: Expression) -> tuple[Expression, Expression, Expression]:
+    """In right angles, the multiple is a whole number and what is left is exact; the unit
+    meets other factors of the angle."""
     form = format_of(x)
-    # Added to this, a number has its nearest whole one in the low bits of its mantissa.
-    magic = 1.5 * 2.0**form.mantissa
-    shifted = x.times_plus(2.0 / math.pi, magic)
-    n = shifted - magic
+    angle = x * (2.0 / math.pi)
+    n = angle.rint()
+    r = angle - n
+    z = r * r
+    shifted = n + _shift(form)
+    return (
+        shifted.bits(form.integer),
+        r * horner(z, SIN_OF_RIGHT),
+        horner(z, COS_OF_RIGHT),
+    )
+
+
+def _of_given(x: Expression) -> tuple[Expression, Expression, Expression]:
+    """By Cody and Waite: pi/2 has as many digits as the nearest multiple needs."""
+    form = format_of(x)
+    shifted = x.times_plus(2.0 / math.pi, _shift(form))
+    n = shifted - _shift(form)
     r = x
     for part in form.half_pi:
         r = n.times_plus(-part, r)
@@ -41,6 +82,11 @@ def _circular(x: Expression) -> tuple[Expression, Expression, Expression]:
     sine = (r * z).times_plus(horner(z, SIN), r)
     cosine = horner(z, (*COS, -0.5, 1.0))
     return shifted.bits(form.integer), sine, cosine
+
+
+def _shift(form: Format) -> float:
+    """Added to this, a number has its nearest whole one in the low bits of its mantissa."""
+    return 1.5 * 2.0**form.mantissa
 
 
 class _Quadrant:
