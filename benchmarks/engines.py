@@ -42,7 +42,7 @@ def threads() -> dict[str, float]:
 
     batch = _batch(LANES)
     run = {
-        str(n): loops.sampled(work.LOOP, "fused", batch, STEPS, threads=n) for n in (1, 2)
+        str(n): loops.Sampled(work.LOOP, "fused", batch, STEPS, threads=n) for n in (1, 2)
     }
     seconds, _ = timing.interleaved(run, RUNS)
     return {n: LANES * STEPS / s / 1e6 for n, s in seconds.items()}
@@ -54,12 +54,12 @@ def observers() -> list[dict[str, float]]:
 
     batch = _batch(LANES)
     counts = 1, 5, 10
-    run = {n: loops.sampled(work.LOOP, "fused", batch, STEPS // 4, count=n) for n in counts}
-    seconds, _ = timing.interleaved({str(n): r for n, r in run.items()}, RUNS)
+    run = {n: loops.Sampled(work.LOOP, "fused", batch, STEPS // 4, count=n) for n in counts}
+    seconds, _ = timing.interleaved(run, RUNS)
     rows = []
     for n in counts:
-        speed = LANES * (STEPS // 4) / seconds[str(n)] / 1e6
-        operations = loops.operations(work.LOOP, count=n)
+        speed = LANES * (STEPS // 4) / seconds[n] / 1e6
+        operations = run[n].operations
         rows.append({"observers": n, "speed": speed, "operations": operations})
     return rows
 
@@ -103,7 +103,7 @@ def agreement() -> float:
     from . import loops, motor_loop as work
 
     batch, steps = _batch(32), round(1.0 / work.INTERVAL)
-    both = [loops.sampled(work.LOOP, e, batch, steps)() for e in ("fused", "scan")]
+    both = [loops.Sampled(work.LOOP, e, batch, steps)() for e in ("fused", "scan")]
     a, b = map(np.asarray, both)
     return float(np.abs(a - b).max() / np.abs(b).max())
 
@@ -114,7 +114,7 @@ def horizon() -> list[dict[str, float]]:
 
     batch = _batch(LANES)
     steps = 100, 1000, 10_000, 100_000
-    run = {str(n): loops.sampled(work.LOOP, "fused", batch, n) for n in steps}
+    run = {str(n): loops.Sampled(work.LOOP, "fused", batch, n) for n in steps}
     seconds, _ = timing.interleaved(run, 3)
     return [
         {"steps": n, "seconds": seconds[str(n)], "speed": LANES * n / seconds[str(n)] / 1e6}
@@ -128,7 +128,7 @@ def paper() -> dict[str, float]:
 
     batch = _batch(LANES)
     run = {
-        e: loops.sampled(work.LOOP, e, batch, STEPS, paper=True) for e in ("fused", "scan")
+        e: loops.Sampled(work.LOOP, e, batch, STEPS, paper=True) for e in ("fused", "scan")
     }
     seconds, _ = timing.interleaved(run, 3)
     return {e: LANES * STEPS / s / 1e6 for e, s in seconds.items()}
@@ -169,8 +169,8 @@ def sizes() -> dict[str, list[dict[str, float]]]:
         for count in (10**k for k in range(7)):
             batch, threads = _batch(count), timing.processors()
             each = {
-                "fused": lambda b=batch: loops.sampled(work.LOOP, "fused", b, STEPS),
-                "scan": lambda b=batch: loops.sampled(work.LOOP, "scan", b, STEPS),
+                "fused": lambda b=batch: loops.Sampled(work.LOOP, "fused", b, STEPS),
+                "scan": lambda b=batch: loops.Sampled(work.LOOP, "scan", b, STEPS),
                 "diffrax": lambda b=batch: loops.continuous(work.LOOP, b, STEPS),
             }
             if hand:

@@ -42,14 +42,34 @@ def run(work: Work, engine: str, batch, steps: int, threads=None, **choice: Any)
     return out.record[:, -1]
 
 
-def sampled(work: Work, engine: str, batch, steps: int, threads=None, **choice: Any):
-    """[`run`][] as a function without arguments, compiled but for its first call."""
+class Sampled:
+    """[`run`][] as a function without arguments, traced now and compiled in its first
+    call."""
 
-    @jax.jit
-    def compiled(batch):
-        return run(work, engine, batch, steps, threads, **choice)
+    def __init__(self, work: Work, engine: str, batch, steps: int, threads=None, **choice):
+        from aslo_jax.engines import Runner
 
-    return lambda: jax.block_until_ready(compiled(batch))
+        self.batch = batch
+        self.runner = Runner(
+            lambda sample: work.make(sample, **choice),
+            jax.tree.map(lambda x: x[0], batch),
+            steps,
+            record=work.keep,
+            every=steps,
+            engine=engine,
+            threads=threads,
+        )
+
+    def __call__(self) -> np.ndarray:
+        return np.asarray(self.runner(self.batch).record)[:, -1]
+
+    @property
+    def operations(self) -> int:
+        """Of one step of one trajectory in the graph of the fused engine, a product with a
+        sum counted as two. The one place that looks inside the engine."""
+        fused = self.runner._fused
+        assert fused is not None, "no other engine has a graph"
+        return fused.program.operations
 
 
 def exact(work: Work, batch, steps: int, **choice: Any):
@@ -187,15 +207,3 @@ def solve_ivp(work: Work, batch, steps: int, method: str, tolerance: float):
     count = len(jax.tree.leaves(batch)[0])
     each = [jax.tree.map(lambda x, k=k: x[k], batch) for k in range(count)]
     return lambda: np.stack([trajectory(sample) for sample in each])
-
-
-def operations(work: Work, **choice: Any) -> int:
-    """Of one step of one trajectory in the graph of the fused engine, a product with a sum
-    counted as two. The one place that looks inside the engine."""
-    from aslo_jax.engines.fused import Fused
-    from aslo_jax.engines.plan import Plan
-
-    batch = jax.tree.map(jnp.asarray, work.samples(1))
-    plan = Plan(lambda sample: work.make(sample, **choice), {}, work.keep)
-    like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), batch)
-    return Fused(plan, like, 1, 1, 1).program.operations

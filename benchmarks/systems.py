@@ -45,19 +45,17 @@ def measure(name: str) -> list[dict[str, Any]]:
 
     for noisy in (False, True):
         exact = np.asarray(loops.exact(work, few, STEPS, noisy=noisy))
+        engines = {
+            engine: loops.Sampled(work, engine, batch, STEPS, noisy=noisy)
+            for engine in ("fused", "scan")
+        }
         fused, scan = (
-            turns(
-                {engine: loops.sampled(work, engine, batch, STEPS, noisy=noisy)},
-                runs,
-                exact,
-                {engine: LANES},
-                noisy,
-            )[engine]
+            turns({engine: engines[engine]}, runs, exact, {engine: LANES}, noisy)[engine]
             for engine, runs in (("fused", RUNS), ("scan", SLOW_RUNS))
         )
         largest = np.abs(np.asarray(scan)[:, 0]).max()
         rows[-1]["agreement"] = float(np.abs(fused - scan).max() / largest)
-        rows[-2]["operations"] = loops.operations(work, noisy=noisy)
+        rows[-2]["operations"] = engines["fused"].operations
     truth = np.asarray(loops.continuous(work, few, STEPS, diffrax.Dopri8(), 1e-12)())
     peers = {
         "diffrax Tsit5": loops.continuous(work, batch, STEPS),

@@ -8,6 +8,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import PyTree
 
 from .._checks import divides
@@ -87,7 +88,7 @@ class Runner:
             return None
 
     def __call__(self, samples: PyTree) -> Batch:
-        samples = jax.tree.map(jnp.asarray, samples)
+        samples = jax.tree.map(_array, samples)
         lanes = _lanes(samples)
         if self._fused is not None:
             return self._fused(samples)
@@ -142,7 +143,7 @@ def run_batch(
     `ValueError` for samples without a common leading axis, or `every` that does not divide
     `steps`.
     """
-    samples = jax.tree.map(jnp.asarray, samples)
+    samples = jax.tree.map(_array, samples)
     _lanes(samples)
     like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), samples)
     runner = Runner(
@@ -156,6 +157,10 @@ def run_batch(
         threads=threads,
     )
     return runner(samples)
+
+
+def _array(x: Any) -> Any:
+    return x if isinstance(x, np.ndarray | jax.Array) else jnp.asarray(x)
 
 
 def _shape(x: Any) -> jax.ShapeDtypeStruct:

@@ -65,18 +65,25 @@ COLUMNS: dict[str, Callable[[PyTree, int], list[np.ndarray]]] = {
 }
 
 
-def gathered(columns: list[np.ndarray], tree: PyTree, lanes: int) -> PyTree:
-    """A tree whose leaves have the axis of lanes first, then that of rows where there is
-    one, from a column for each of their entries."""
-    leaves, structure = jax.tree.flatten(tree)
-    found, first = [], 0
-    for s in leaves:
-        size = int(np.prod(s.shape, dtype=int))
-        group = columns[first : first + size]
-        first += size
-        lead = (lanes, *columns[0].shape[:-1]) if columns else (lanes,)
-        leaf = np.empty((*lead, size), s.dtype)
-        for k, column in enumerate(group):
-            leaf[..., k] = column[..., :lanes].T
-        found.append(leaf.reshape(*lead, *s.shape))
-    return jax.tree.unflatten(structure, found)
+def blank(tree: PyTree, *axes: int) -> PyTree:
+    """For results with the shapes and types of a tree: of every leaf an array, the axes of
+    its columns behind its own."""
+    return jax.tree.map(lambda s: np.empty((*s.shape, *axes), stored(s.dtype)), tree)
+
+
+def columns_of(arrays: PyTree, axes: int) -> list[np.ndarray]:
+    """One for each entry of [`blank`][] arrays of columns with so many axes."""
+    rows = (a.reshape(-1, *a.shape[a.ndim - axes :]) for a in jax.tree.leaves(arrays))
+    return [column for leaf in rows for column in leaf]
+
+
+def gathered(arrays: PyTree, tree: PyTree, lanes: int) -> PyTree:
+    """The results in [`blank`][] arrays, with the axis of lanes first, then that of rows
+    where there is one: views."""
+
+    def lanes_first(a: np.ndarray, s: jax.ShapeDtypeStruct) -> np.ndarray:
+        own = range(len(s.shape))
+        axes = reversed(range(len(s.shape), a.ndim))
+        return a[..., :lanes].view(s.dtype).transpose(*axes, *own)
+
+    return jax.tree.map(lanes_first, arrays, tree)

@@ -65,7 +65,7 @@ class Fused:
         return Program.of(bodies, {"lane": self.sample}, widths())
 
     def _run(self, leaves: list[Any]) -> Batch:
-        leaves = [np.asarray(x) for x in leaves]
+        leaves = [np.asarray(x, s.dtype) for x, s in zip(leaves, self.sample, strict=True)]
         record, final = self._execute(self.program, {"lane": leaves}, leaves[0])
         return Batch(final, record)
 

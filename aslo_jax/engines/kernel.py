@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from .columns import stored
 from .emit import emit
 from .host import compiled, run_in_threads
 from .step import Step
@@ -23,17 +22,10 @@ class Kernel:
         steps: int,
         every: int = 1,
         threads: int = 1,
-    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """From the columns of its inputs by their slots, those of the records, rows of
-        lanes, and of what is final; the lanes are a multiple of the width."""
-        loop = self.loop
-        rows = steps // every + (1 if loop.first else 0)
-        dtype = lambda number: stored(loop.graph.dtype(number))
-        record = [np.empty((rows, lanes), dtype(n)) for n in loop.record]
-        final = [np.empty(lanes, dtype(n)) for n in loop.final]
-        columns = columns | {("record", i): c for i, c in enumerate(record)}
-        columns |= {("final", i): c for i, c in enumerate(final)}
-        slots = loop.slots
+    ) -> None:
+        """From and to the columns of its slots: records are rows of lanes, which are a
+        multiple of the width."""
+        slots = self.loop.slots
         table = (ctypes.c_void_p * max(len(slots), 1))(
             *(columns[slot].ctypes.data for slot in slots)
         )
@@ -43,7 +35,6 @@ class Kernel:
             self._function(*span, lanes, steps, every, address)
 
         run_in_threads(work, self._spans(lanes, threads), threads)
-        return record, final
 
     def _spans(self, lanes: int, threads: int) -> list[tuple[int, int]]:
         """Pieces for the threads, the last ones small, so that none waits long for

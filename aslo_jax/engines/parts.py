@@ -12,7 +12,7 @@ from .registers import Instruction
 
 # Instructions in a turn, between half of this and half as many more: the end is where the
 # fewest values wait.
-TURN = 32
+TURN = 36
 
 
 class Part(NamedTuple):

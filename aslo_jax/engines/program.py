@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from .choices import decided
-from .columns import COLUMNS, gathered
+from .columns import COLUMNS, blank, columns_of, gathered, stored
 from .factors import factored
 from .flatten import flatten
 from .graph import Graph
@@ -194,11 +194,14 @@ class Program:
         padded = -(-lanes // self.width) * self.width
         columns: dict[Any, np.ndarray] = {}
         for kind, tree in inputs.items():
-            made = COLUMNS[kind](tree, padded)
-            columns |= {(kind, i): c for i, c in enumerate(made)}
+            columns |= _slots(kind, COLUMNS[kind](tree, padded))
         columns |= self._times(columns, steps)
+        rows = steps // every + (1 if self.loop.first else 0)
+        record, final = blank(self.record, rows, padded), blank(self.final, padded)
+        columns |= _slots("record", columns_of(record, 2))
+        columns |= _slots("final", columns_of(final, 1))
         threads = available_threads() if threads is None else threads
-        record, final = kernel(columns, padded, steps, every, threads)
+        kernel(columns, padded, steps, every, threads)
         return gathered(record, self.record, lanes), gathered(final, self.final, lanes)
 
     def _times(self, columns: dict[Any, np.ndarray], steps: int) -> dict[Any, np.ndarray]:
@@ -207,10 +210,24 @@ class Program:
         found: list[np.ndarray] = []
         if beside is not None:
             padded = -(-steps // beside.width) * beside.width
-            found += beside(columns | {("lane", 0): np.arange(padded)}, padded, 0)[1]
+            made = _columns(beside.loop, beside.loop.final, padded)
+            given = columns | {("lane", 0): np.arange(padded)}
+            beside(given | _slots("final", made), padded, 0)
+            found += made
         if along is not None:
-            found += along(columns, along.width, steps)[0]
-        return {("time", i): c for i, c in enumerate(found)}
+            made = _columns(along.loop, along.loop.record, steps, along.width)
+            along(columns | _slots("record", made), along.width, steps)
+            found += made
+        return _slots("time", found)
+
+
+def _slots(kind: str, columns: Sequence[np.ndarray]) -> dict[Any, np.ndarray]:
+    return {(kind, i): column for i, column in enumerate(columns)}
+
+
+def _columns(loop: Loop, numbers: Sequence[int], *axes: int) -> list[np.ndarray]:
+    """For nodes of a loop."""
+    return [np.empty(axes, stored(loop.graph.dtype(n))) for n in numbers]
 
 
 def _shapes(tree: PyTree) -> list[tuple[tuple[int, ...], np.dtype]]:
