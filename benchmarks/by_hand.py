@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +73,9 @@ class ByHand:
     def __init__(self, folder: str, more: Sequence[str] = ()):
         self.folder, self.more = Path(folder), more
         self.blocks = [1, 2, WIDEST]
-        self.libraries = {b: self._compiled(b) for b in self.blocks}
+        with ThreadPoolExecutor(len(self.blocks)) as pool:
+            made = pool.map(self._compiled, self.blocks)
+            self.libraries = dict(zip(self.blocks, made, strict=True))
 
     @staticmethod
     def available() -> bool:

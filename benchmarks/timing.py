@@ -1,6 +1,7 @@
 """Contenders that take turns, so that what else the machine does falls on all of them."""
 
 import os
+import random
 import statistics
 import time
 from collections.abc import Callable, Mapping
@@ -12,14 +13,17 @@ def interleaved(
 ) -> tuple[dict[Any, float], dict[Any, Any]]:
     """The median seconds of one call of each contender over `runs` rounds, after a first
     call that compiles, and what that first call returned. After its first round a
-    contender is called as often in a round as fills `shortest` seconds."""
+    contender is called as often in a round as fills `shortest` seconds. Every round has
+    another order: who comes after one thread finds the other processors asleep."""
     values = {name: run() for name, run in contenders.items()}
     seconds: dict[Any, list[float]] = {name: [] for name in contenders}
+    order, shuffle = list(contenders), random.Random(0).shuffle
     for _ in range(runs):
-        for name, run in contenders.items():
+        shuffle(order)
+        for name in order:
             before = seconds[name]
             repeats = max(1, round(shortest / before[0])) if before else 1
-            before.append(_seconds(run, repeats))
+            before.append(_seconds(contenders[name], repeats))
     return {name: statistics.median(s) for name, s in seconds.items()}, values
 
 
