@@ -1,30 +1,23 @@
 """Differentiable state observers in JAX: algebraic (ASLO), asymptotic, and their peers."""
 
+import importlib as _importlib
 from importlib.metadata import version as _version
+from typing import TYPE_CHECKING as _TYPE_CHECKING, Any as _Any
 
 from . import (
     control as control,
     datasheet as datasheet,
     disturbances as disturbances,
     filters as filters,
-    metrics as metrics,
     observers as observers,
     plants as plants,
     random as random,
-    study as study,
-    tune as tune,
 )
 from .completions import (
     AbstractCompletion as AbstractCompletion,
     FilterBank as FilterBank,
     LeastSquares as LeastSquares,
     Repeat as Repeat,
-)
-from .engines import (
-    Batch as Batch,
-    NotFusible as NotFusible,
-    Runner as Runner,
-    run_batch as run_batch,
 )
 from .experiment import Experiment as Experiment, Record as Record
 from .filters import (
@@ -78,4 +71,29 @@ from .structure import (
     structure_of as structure_of,
 )
 
+if _TYPE_CHECKING:
+    from . import engines as engines, metrics as metrics, study as study, tune as tune
+    from .engines import (
+        Batch as Batch,
+        NotFusible as NotFusible,
+        Runner as Runner,
+        run_batch as run_batch,
+    )
+
 __version__ = _version("aslo_jax")
+
+# Imported when they are asked for, since they take as long as all the rest.
+_LATER = ("engines", "metrics", "study", "tune")
+_OF_ENGINES = ("Batch", "NotFusible", "Runner", "run_batch")
+
+
+def __getattr__(name: str) -> _Any:
+    if name in _LATER:
+        return _importlib.import_module(f".{name}", __name__)
+    if name in _OF_ENGINES:
+        return getattr(_importlib.import_module(".engines", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LATER, *_OF_ENGINES})

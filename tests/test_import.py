@@ -19,6 +19,8 @@ def imported() -> dict:
     """What an interpreter has after the import, and whether it may still choose devices."""
     done = run(
         "import json, sys, aslo_jax, aslo_jax.logs, aslo_jax.cli, jax\n"
+        "for name in dir(aslo_jax):\n"
+        "    getattr(aslo_jax, name)\n"
         f"extras = sorted(set(sys.modules) & set({EXTRAS!r}))\n"
         "double = jax.config.jax_enable_x64\n"
         "jax.config.update('jax_num_cpu_devices', 3)\n"
@@ -34,6 +36,31 @@ def test_core_needs_no_extra():
     done = run(code + "import aslo_jax; print(aslo_jax.__version__)")
     assert done.returncode == 0, done.stderr
     assert done.stdout.count(".") == 2
+
+
+def test_parts_are_imported_when_they_are_asked_for():
+    code = """
+import sys, aslo_jax
+
+later = ("engines", "metrics", "study", "tune")
+print([name for name in later if "aslo_jax." + name in sys.modules])
+print([name for name in later if name not in dir(aslo_jax)])
+print([name for name in later if getattr(aslo_jax, name).__name__ != "aslo_jax." + name])
+print(aslo_jax.run_batch is aslo_jax.engines.run_batch, "Runner" in dir(aslo_jax))
+from aslo_jax import NotFusible, study
+print(NotFusible is aslo_jax.engines.NotFusible, study is aslo_jax.study)
+try:
+    aslo_jax.nothing
+except AttributeError as error:
+    print(error)
+"""
+    done = run(code)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [
+        *["[]"] * 3,
+        *["True True"] * 2,
+        "module 'aslo_jax' has no attribute 'nothing'",
+    ]
 
 
 def test_extras_are_imported_when_they_are_used(imported):
