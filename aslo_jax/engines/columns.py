@@ -73,8 +73,8 @@ def blank(tree: PyTree, *axes: int) -> PyTree:
 
 def columns_of(arrays: PyTree, axes: int) -> list[np.ndarray]:
     """One for each entry of [`blank`][] arrays of columns with so many axes."""
-    rows = (a.reshape(-1, *a.shape[a.ndim - axes :]) for a in jax.tree.leaves(arrays))
-    return [column for leaf in rows for column in leaf]
+    leaves = ((a, a.shape[: a.ndim - axes]) for a in jax.tree.leaves(arrays))
+    return [a[index] for a, own in leaves for index in np.ndindex(own)]
 
 
 def gathered(arrays: PyTree, tree: PyTree, lanes: int) -> PyTree:
