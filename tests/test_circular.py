@@ -61,3 +61,28 @@ def test_angles_without_bounds():
     for ours in (jnp.sin, jnp.cos):
         found = evaluate(lambda x: ours(x + x), x)  # noqa: B023
         assert np.isnan(found[:3]).all() and (np.abs(found[3:]) <= 1).all()
+
+
+JUMPS = {
+    "floor": lambda a: jnp.floor(4.0 * a),
+    "ceil": lambda a: jnp.ceil(4.0 * a - 1.0),
+    "round": lambda a: jnp.round(2.0 * a),
+    "whole": lambda a: (4.0 * a).astype(jnp.int32),
+    "at least": lambda a: a >= 3.0,
+    "equal": lambda a: a == 3.0,
+    "chosen": lambda a: jnp.where(a - 3.0 < 0.0, 1.0, 2.0),
+}
+
+
+@pytest.mark.parametrize("jump", JUMPS)
+def test_an_angle_that_is_compared_or_rounded_is_carried_itself(jump):
+    """By quarters it reaches its bounds exactly, as it would not in other units."""
+
+    def advance(k, carry, x):
+        angle, total = carry
+        after = angle + 0.25
+        return after, 0.5 * total + jnp.sin(after) + 2.0
+
+    x = np.array([0.0, 0.25, 0.5])
+    begin, finish = lambda x: (x, 0.0 * x), lambda carry: carry[1]
+    check(begin, advance, finish, steps=60, record=lambda c: JUMPS[jump](c[0]), x=x)

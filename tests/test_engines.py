@@ -466,9 +466,9 @@ def test_a_runner_is_as_precise_as_jax():
     """Made like doubles while JAX has none."""
     with jax.enable_x64(False):
         chain = aslo.plants.IntegratorChain(2)
-        command = aslo.control.OpenLoop(lambda t: jnp.cos(9.0 * t))
 
         def make(rate):
+            command = aslo.control.OpenLoop(lambda t: rate * jnp.cos(9.0 * t))
             observer = aslo.AlgebraicObserver(chain.relation(), aslo.LowPass(rate))
             return aslo.Experiment(chain, command, {"speed": observer}, 1e-2)
 
@@ -479,6 +479,25 @@ def test_a_runner_is_as_precise_as_jax():
         expected = run_batch(make, jnp.array([3.0, 5.0]), 20, record=keep, engine="scan")
         assert found.dtype == jnp.float32 and np.isfinite(found).all()
         np.testing.assert_allclose(found, expected.record, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.int64])
+def test_samples_take_the_type_that_a_runner_is_made_for(dtype):
+    """For values and for derivatives, whose columns are read by their type."""
+    inertias = np.array([[2, 3, 1], [1, 1, 4]], dtype)
+    like = (1.0, np.ones(3))
+    make = lambda sample: spun(sample[0] * sample[1])
+    found = {}
+    for engine in ("fused", "scan"):
+        runner = aslo.Runner(make, like, 20, record=lambda r: r.x, engine=engine)
+        scaled = lambda c, run=runner: run((c * jnp.ones(2, c.dtype), inertias)).record
+        c = jnp.asarray(1.5, np.float32)
+        found[engine] = (
+            runner((np.float32([1.5, 1.5]), inertias)).record,
+            *jax.jvp(scaled, (c,), (jnp.ones_like(c),)),
+        )
+    for ours, theirs in zip(*map(jax.tree.leaves, found.values()), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-9)
 
 
 @pytest.mark.parametrize(

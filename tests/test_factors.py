@@ -104,12 +104,12 @@ def test_what_is_no_sum_may_be_kept_times_what_it_is_multiplied_by():
     def advance(k, carry, x):
         theta, w = carry
         new = jnp.abs(w) / (2.0 + w)
-        turn = jnp.floor(5.0 * new) + jnp.sqrt(jnp.floor(jnp.abs(5.0 * theta)))
+        turn = jnp.sqrt(5.0 * new) + jnp.sqrt(5.0 * theta)
         return new, 0.5 * w + x * x * turn
 
     finish = lambda carry: (carry[0] + 0.2, carry[1])
     record = lambda carry: (carry[0] * 3.0, carry[0])
-    made = check(lambda x: (x, 1.0 - x), advance, finish, record=record)
+    made = check(lambda x: (x * x, 1.0 - x), advance, finish, record=record)
     graph = made.loop.graph
     numbers = graph.reachable(list(made.loop.carry))
     scaled = [n for n in numbers if 5.0 in map(graph.value, graph.nodes[n].args)]

@@ -15,6 +15,8 @@ from .terms import Terms
 
 # Operations that take a factor of their arguments with them.
 LINEAR = {"add", "sub", "mul", "div", "neg", "abs", "select"}
+# Operations whose result jumps.
+JUMPING = {"eq", "ne", "lt", "le", "gt", "ge", "floor", "ceil", "rint", "convert"}
 TRIALS = 8  # of entries that the next step multiplies, each of which takes a rewriting
 
 
@@ -95,7 +97,7 @@ class _Factored(Terms):
         factor that leaves that product to be kept."""
         found = []
         for i, number in enumerate(self.old.carry):
-            known = i in self.factors or i in self.uniform
+            known = i in self.factors or i in self.uniform or self._jumps(i)
             for user in () if known else self.users[number]:
                 value = self._multiplier(user, number)
                 ops = {self.graph.nodes[n].op for n in self.users[user]}
@@ -104,3 +106,28 @@ class _Factored(Terms):
                     if self._moderate(factor):
                         found.append({i: factor})
         return found
+
+    def _jumps(self, i: int) -> bool:
+        """Whether the i-th entry of the carry, or a sum or a multiple of it, is compared or
+        rounded, which the last bit decides where it is a whole number, say. The reduction
+        of an angle does not count: what is left follows from the same multiple."""
+        left = [self.entries[i]] if i in self.entries else []
+        seen = set(left)
+        while left:
+            number = left.pop()
+            for user in self.users[number]:
+                op = self.graph.nodes[user].op
+                if op in JUMPING and not self._reduces(user):
+                    return True
+                if op in LINEAR and user not in seen:
+                    seen.add(user)
+                    left.append(user)
+        return False
+
+    def _reduces(self, number: int) -> bool:
+        """Whether a node is the whole number next to what it is taken from again."""
+        node = self.graph.nodes[number]
+        taken = [n for n in self.users[number] if self.graph.nodes[n].op == "sub"]
+        return node.op == "rint" and any(
+            self.graph.nodes[n].args == (*node.args, number) for n in taken
+        )

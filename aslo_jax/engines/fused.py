@@ -35,7 +35,10 @@ class Fused:
         return vars(self) | {"plan": None}
 
     def __call__(self, samples: PyTree) -> Batch:
-        leaves = jax.tree.leaves(samples)
+        leaves = [
+            x if x.dtype == s.dtype else jnp.asarray(x, s.dtype)
+            for x, s in zip(jax.tree.leaves(samples), self.sample, strict=True)
+        ]
         if not len(leaves[0]):
             nothing = lambda s: jnp.zeros(s.shape, s.dtype)
             return jax.tree.map(nothing, self._shapes(0))
@@ -65,7 +68,7 @@ class Fused:
         return Program.of(bodies, {"lane": self.sample}, widths())
 
     def _run(self, leaves: list[Any]) -> Batch:
-        leaves = [np.asarray(x, s.dtype) for x, s in zip(leaves, self.sample, strict=True)]
+        leaves = [np.asarray(x) for x in leaves]
         record, final = self._execute(self.program, {"lane": leaves}, leaves[0])
         return Batch(final, record)
 
