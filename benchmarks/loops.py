@@ -31,20 +31,9 @@ class Work(NamedTuple):
     interval: float
 
 
-def run(work: Work, engine: str, batch, steps: int, threads=None, **choice: Any):
-    """What is kept of the last sample."""
-    from aslo_jax.engines import run_batch
-
-    one = lambda sample: work.make(sample, **choice)
-    out = run_batch(
-        one, batch, steps, record=work.keep, every=steps, engine=engine, threads=threads
-    )
-    return out.record[:, -1]
-
-
 class Sampled:
-    """[`run`][] as a function without arguments, traced now and compiled in its first
-    call."""
+    """A function without arguments, traced now and compiled in its first call: what is kept
+    of the last sample."""
 
     def __init__(self, work: Work, engine: str, batch, steps: int, threads=None, **choice):
         from aslo_jax.engines import Runner

@@ -46,14 +46,12 @@ def contend(path: str, quick: str) -> None:
 
 
 def compile_times() -> dict[str, float]:
-    """Seconds from modules to the results of one step: trace, graph, LLVM, callback."""
-    import jax
-
+    """Seconds from modules to the results of one step: trace, graph, LLVM, run."""
     from . import loops, motor_loop as work
 
     tiny = work.samples(32)
     # The tracer, the evaluator and LLVM itself are warm for whatever is measured.
-    loops.run(work.LOOP, "fused", tiny, 1, count=1)
+    loops.Sampled(work.LOOP, "fused", tiny, 1, count=1)()
     found = {}
     for name, choice in {
         "ASLO and A-ASLO": {},
@@ -61,7 +59,7 @@ def compile_times() -> dict[str, float]:
         "ten ASLO": {"count": 10},
     }.items():
         start = time.perf_counter()
-        jax.block_until_ready(loops.run(work.LOOP, "fused", tiny, 1, **choice))
+        loops.Sampled(work.LOOP, "fused", tiny, 1, **choice)()
         found[name] = time.perf_counter() - start
     return found
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from .graph import BOOL, Graph
+from .graph import BOOL, COMPARISONS, Graph
 from .loop import Loop
 from .reduce import mapped, moving_roots, rebuilt
 
@@ -11,7 +11,7 @@ Fact = tuple[int, bool]  # a condition, and whether it holds
 # Of reals, what may be done with any value at all where the result does not show: no index
 # is made of it, and no division of whole numbers.
 HARMLESS = {"add", "sub", "mul", "div", "neg", "abs", "sqrt", "fma", "select"}
-HARMLESS |= {"eq", "ne", "lt", "le", "gt", "ge"}
+HARMLESS |= {*COMPARISONS}
 
 
 def decided(loop: Loop) -> Loop:

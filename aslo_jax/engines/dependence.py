@@ -1,8 +1,9 @@
 """Which entries of the carry of a loop may depend on which of its inputs."""
 
+from .graph import COMPARISONS
 from .loop import Loop
 
-CUT = {"eq", "ne", "lt", "le", "gt", "ge", "table"}  # whose results have no derivative
+CUT = {*COMPARISONS, "table"}  # whose results have no derivative
 
 
 def depends(loop: Loop, sources: set[tuple[str, int]]) -> set[int]:

@@ -8,6 +8,7 @@ needed times. Results differ by rounding only, where no product of factors overf
 import dataclasses
 import functools
 
+from .graph import COMPARISONS
 from .loop import Loop, varying
 from .reduce import mapped, moving_roots
 from .registers import selected
@@ -16,7 +17,7 @@ from .terms import Terms
 # Operations that take a factor of their arguments with them.
 LINEAR = {"add", "sub", "mul", "div", "neg", "abs", "select"}
 # Operations whose result jumps.
-JUMPING = {"eq", "ne", "lt", "le", "gt", "ge", "floor", "ceil", "rint", "convert"}
+JUMPING = {*COMPARISONS, "floor", "ceil", "rint", "convert"}
 TRIALS = 8  # of entries that the next step multiplies, each of which takes a rewriting
 
 
@@ -97,13 +98,13 @@ class _Factored(Terms):
         factor that leaves that product to be kept."""
         found = []
         for i, number in enumerate(self.old.carry):
-            known = i in self.factors or i in self.uniform or self._jumps(i)
+            known = i in self.factors or i in self.uniform
             for user in () if known else self.users[number]:
                 value = self._multiplier(user, number)
                 ops = {self.graph.nodes[n].op for n in self.users[user]}
                 if value is not None and not ops <= LINEAR:
                     factor = self.graph.op("div", self.one(number), value)
-                    if self._moderate(factor):
+                    if self._moderate(factor) and not self._jumps(i):
                         found.append({i: factor})
         return found
 

@@ -66,6 +66,8 @@ FOLD: dict[str, Callable[..., Any]] = {
     "gt": np.greater,
     "ge": np.greater_equal,
 }
+# Their results are booleans.
+COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")
 COMMUTES = {"add", "mul", "and", "or", "xor", "eq", "ne"}
 
 
@@ -98,7 +100,7 @@ class Graph:
     def op(self, op: str, *args: int) -> int:
         """An operation whose result has the type of its first argument; comparisons give
         booleans."""
-        dtype = BOOL if op in ("eq", "ne", "lt", "le", "gt", "ge") else self.dtype(args[0])
+        dtype = BOOL if op in COMPARISONS else self.dtype(args[0])
         values = [self.value(a) for a in args]
         if op in FOLD and all(v is not None for v in values):
             with np.errstate(all="ignore"):

@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from .graph import COMPARISONS
+
 TYPES = {
     "float64": "double",
     "float32": "float",
@@ -22,7 +24,6 @@ TYPES = {
 FLAGS = "contract nsz arcp"
 BINARY = ("add", "sub", "mul", "div", "and", "or", "xor")
 SHIFTS = ("shl", "lshr", "ashr")
-COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")
 # A product and a sum, rounded once where the host can: which operand is negative.
 PRODUCTS = {"muladd": None, "mulsub": 2, "submul": 0}
 INTRINSICS = {
