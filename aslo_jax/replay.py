@@ -112,7 +112,7 @@ def _run_fused(
     substeps: int,
     state: ObserverState | None,
 ) -> tuple[Any, ObserverState]:
-    from .engines.recorded import replay_fused  # which needs an extra
+    from .engines.fused.replay import replay_fused  # which needs an extra
 
     t0, u, y, intervals = log
     state, first = _begun(observer, t0, u, y, state)

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from aslo_jax.engines.loop import varying
-from aslo_jax.engines.program import Bodies, Program
-from aslo_jax.engines.registers import selected
+from aslo_jax.engines.fused.program import Bodies, Program
+from aslo_jax.engines.ir.loop import varying
+from aslo_jax.engines.ir.selection import selected
 
 X = np.array([0.3, -1.2, 0.9])
 REAL = jax.ShapeDtypeStruct((), np.float64)

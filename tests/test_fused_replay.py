@@ -8,7 +8,7 @@ from motion import PrescribedPMSM
 
 import aslo_jax as aslo
 from aslo_jax.engines import NotFusible
-from aslo_jax.engines.program import Program
+from aslo_jax.engines.fused.program import Program
 
 pytest.importorskip("llvmlite")
 MOTION = PrescribedPMSM()

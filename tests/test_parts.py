@@ -6,9 +6,9 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given, settings
 
-from aslo_jax.engines import parts
-from aslo_jax.engines.parts import Part, in_parts, parts_of
-from aslo_jax.engines.registers import Instruction
+from aslo_jax.engines.backend import splitting
+from aslo_jax.engines.backend.splitting import Part, in_parts, parts_of
+from aslo_jax.engines.ir.selection import Instruction
 
 
 @st.composite
@@ -72,7 +72,7 @@ def test_every_part_is_made_once_after_its_arguments(turn):
         checked(*program)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(parts, "TURN", turn)
+        patch.setattr(splitting, "TURN", turn)
         test()
 
 
@@ -132,7 +132,7 @@ def blocks(lengths):
 @pytest.mark.parametrize("turn", [4, 12, 40])
 def test_turns_end_where_few_values_wait(turn, monkeypatch):
     """Between two blocks only one value waits, and within a block two."""
-    monkeypatch.setattr(parts, "TURN", turn)
+    monkeypatch.setattr(splitting, "TURN", turn)
     lengths = [turn, turn + turn // 4, 3 * turn // 4, turn, turn // 2, turn]
     program = blocks(lengths)
     found = checked(program, dict.fromkeys(range(-1, len(program)), 2))
@@ -142,7 +142,7 @@ def test_turns_end_where_few_values_wait(turn, monkeypatch):
 
 
 def test_of_ends_that_are_alike_the_one_after_a_turn_is_taken(monkeypatch):
-    monkeypatch.setattr(parts, "TURN", 10)
+    monkeypatch.setattr(splitting, "TURN", 10)
     chain = [Instruction(k, "any", (k - 1,)) for k in range(41)]
     found = in_parts(chain, dict.fromkeys(range(-1, 41), 2))
     assert cuts(found) == [10, 20, 30]

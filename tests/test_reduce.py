@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from loops import X, by_hand, check, program
 
-from aslo_jax.engines.graph import Graph
-from aslo_jax.engines.order import depth_first, ordered
+from aslo_jax.engines.backend.scheduling import depth_first, ordered
+from aslo_jax.engines.ir.graph import Graph
 
 pytest.importorskip("llvmlite")
 
@@ -96,7 +96,7 @@ def test_what_depends_on_time_alone_is_computed_for_all_steps_at_once():
         return (0.9 * carry[0] + jnp.sin(0.3 * k) * x,)
 
     made = check(lambda x: (x,), advance, lambda carry: carry[0], steps=23)
-    assert made.tables.beside is not None and made.tables.along is None
+    assert made.loop.tables.beside is not None and made.loop.tables.along is None
     assert made.operations == 3
 
 

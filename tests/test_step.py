@@ -6,9 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from aslo_jax.engines import program as programs, step
-from aslo_jax.engines.host import register
-from aslo_jax.engines.program import Bodies, Program
+from aslo_jax.engines.backend import step
+from aslo_jax.engines.fused import program as programs
+from aslo_jax.engines.fused.program import Bodies, Program
+from aslo_jax.engines.runtime.host import register
 
 REAL = jax.ShapeDtypeStruct((), np.float64)
 

@@ -19,7 +19,7 @@ import studies
 import xarray
 
 import aslo_jax as aslo
-from aslo_jax.engines import kernel
+from aslo_jax.engines.runtime import kernel
 from aslo_jax.metrics import RMSError
 from aslo_jax.study import open_study, run
 from aslo_jax.study.cluster import local_cluster

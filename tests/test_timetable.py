@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from loops import PAIRS, REAL, X, check, count
 
-from aslo_jax.engines.program import Bodies, Program
+from aslo_jax.engines.fused.program import Bodies, Program
 
 pytest.importorskip("llvmlite")
 SEVEN = jnp.asarray(0.7)
@@ -23,7 +23,7 @@ def test_an_entry_that_is_the_same_for_all_lanes_is_carried_once():
 
     made = check(lambda x: (SEVEN, x), advance, lambda carry: carry[1])
     assert len(made.raw.carry) == 2 and len(made.loop.carry) == 1
-    assert made.tables.along is not None and len(made.tables.along.carry) == 1
+    assert made.loop.tables.along is not None and len(made.loop.tables.along.carry) == 1
     assert count(made.loop, "mul") <= 3
 
 
@@ -70,7 +70,7 @@ def test_an_entry_that_any_lane_moves_is_not_the_same_for_all(which):
         return 0.9 * a + drive, 0.5 * b + a
 
     made = check(begin, advance, lambda carry: carry)
-    assert made.tables.along is None and len(made.loop.carry) == 2
+    assert made.loop.tables.along is None and len(made.loop.carry) == 2
 
 
 def test_where_all_is_the_same_for_all_lanes():
@@ -80,7 +80,7 @@ def test_where_all_is_the_same_for_all_lanes():
         lambda carry: carry[0] - carry[1],
         record=lambda carry: carry[1],
     )
-    assert made.tables.along is not None
+    assert made.loop.tables.along is not None
 
 
 def test_a_factor_of_a_lane_does_not_meet_one_of_time_in_a_step():
@@ -118,4 +118,4 @@ def test_logs_move_what_they_drive_in_every_lane():
         state, value = 0.5 * state + u, value + X * state
     np.testing.assert_allclose(final[0], np.full(3, state), rtol=1e-13)
     np.testing.assert_allclose(final[1], value, rtol=1e-13)
-    assert jax.tree.leaves(made.tables.along) == []
+    assert jax.tree.leaves(made.loop.tables.along) == []

@@ -1,4 +1,4 @@
 """Engines: how a batch of experiments is run."""
 
 from .batch import Batch as Batch, Runner as Runner, run_batch as run_batch
-from .flatten import NotFusible as NotFusible
+from .frontend.lower import NotFusible as NotFusible

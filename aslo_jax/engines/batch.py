@@ -14,9 +14,9 @@ from jaxtyping import PyTree
 from .._checks import divides
 from ..experiment import Experiment, Record
 from ..metrics import AbstractMetric
-from .flatten import NotFusible
-from .fused import Fused
-from .plan import Batch as Batch, Plan
+from .frontend.lower import NotFusible
+from .fused.batch import Fused
+from .fused.plan import Batch as Batch, Plan
 
 
 class Runner:

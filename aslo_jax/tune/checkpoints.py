@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PyTree
 
-from ..engines.plan import Plan
+from ..engines.fused.plan import Plan
 
 
 def checkpointed(plan: Plan, samples: PyTree, steps: int) -> PyTree:

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, PyTree
 from .. import random
 from .._checks import nonnegative, positive, real, whole
 from ..engines import run_batch
-from ..engines.plan import Plan
+from ..engines.fused.plan import Plan
 from ..experiment import Experiment, Record
 from ..metrics import AbstractMetric
 from ..observers import AbstractObserver

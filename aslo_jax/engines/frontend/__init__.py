@@ -1,0 +1,1 @@
+"""From functions on arrays to a graph of operations on numbers (scalarisation)."""

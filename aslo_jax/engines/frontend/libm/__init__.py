@@ -1,0 +1,3 @@
+"""Elementary functions without branches, as formulas on scalar expressions."""
+
+from .exponential import ULP as ULP

@@ -1,0 +1,199 @@
+"""A jaxpr as a graph of scalar operations.
+
+A value is an array of node numbers. Elementwise primitives work on them entry by entry
+(`rules`), structural ones move them (`structural`); calls are inlined here, loops unrolled.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.extend.core as jex
+import jax.numpy as jnp
+import numpy as np
+
+from ..._checks import is_concrete
+from ..ir.graph import Graph
+from .elementwise import ELEMENTWISE, Unsupported
+from .structural import STRUCTURAL, Value, constant, known, select
+
+UNROLLED = 4096  # the longest loop that is unrolled
+
+
+class NotFusible(ValueError):
+    """A function that the fused engine cannot compile: names the primitive, the line of
+    the user's code, and the alternative."""
+
+
+def flatten(graph: Graph, closed: Any, inputs: list[Value]) -> list[Value]:
+    """The outputs of a closed jaxpr at `inputs`, arrays of node numbers.
+
+    **Raises:** [`NotFusible`][] where a primitive has no rule."""
+    try:
+        return _closed(graph, closed, inputs)
+    except Unsupported as error:
+        raise NotFusible(
+            f"The fused engine cannot compile the primitive `{error.primitive}`"
+            f'{error.line}: {error}. Use engine="scan", or write it with elementwise '
+            "arithmetic on small arrays."
+        ) from None
+
+
+def _closed(graph: Graph, closed: Any, inputs: list[Value]) -> list[Value]:
+    if not is_concrete(*closed.consts):
+        raise NotFusible(
+            "The fused engine cannot compile a function that closes over a value which is "
+            "being traced (by jit, vmap or a derivative around it): hand it over in "
+            '`samples`, one for each, or use engine="scan".'
+        )
+    consts = [constant(graph, c) for c in closed.consts]
+    return _jaxpr(graph, closed.jaxpr, consts, inputs)
+
+
+def _jaxpr(graph: Graph, jaxpr: Any, consts: list[Value], inputs: list[Value]) -> list:
+    values: dict[Any, Value] = {}
+
+    def read(atom: Any) -> Value:
+        if isinstance(atom, jex.Literal):
+            return constant(graph, np.asarray(atom.val, _dtype(atom)))
+        return values[atom]
+
+    values.update(zip(jaxpr.constvars, consts, strict=True))
+    values.update(zip(jaxpr.invars, inputs, strict=True))
+    for equation in jaxpr.eqns:
+        arguments = [read(atom) for atom in equation.invars]
+        try:
+            found = _apply(graph, equation, arguments)
+        except Unsupported as error:
+            error.primitive = error.primitive or equation.primitive.name
+            error.line = error.line or _line(equation)
+            raise
+        values.update(zip(equation.outvars, map(np.asarray, found), strict=True))
+    return [read(atom) for atom in jaxpr.outvars]
+
+
+def _dtype(atom: Any) -> Any:
+    return atom.aval.dtype
+
+
+def _apply(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
+    name, params = equation.primitive.name, equation.params
+    if name in ELEMENTWISE:
+        rule = ELEMENTWISE[name]
+        spread = np.broadcast_arrays(*arguments)
+        aval = equation.outvars[0].aval
+        out = np.empty(aval.shape, np.int64)
+        for index in np.ndindex(aval.shape):
+            out[index] = rule(graph, aval.dtype, params, *(int(a[index]) for a in spread))
+        return [out]
+    if name in STRUCTURAL:
+        return STRUCTURAL[name](graph, equation, *arguments)
+    if name in CONTROL:
+        return CONTROL[name](graph, equation, *arguments)
+    inner = _inner(params)
+    try:
+        if inner is not None:
+            return _closed(graph, inner, arguments)
+        raise Unsupported("it has no rule")
+    except Unsupported:
+        values = [known(graph, argument) for argument in arguments]
+        if any(value is None for value in values):
+            raise
+        return [constant(graph, x) for x in _evaluated(equation, inner, values)]
+
+
+def _evaluated(equation: Any, inner: Any, values: list[Any]) -> list[np.ndarray]:
+    """What anything gives for constants, by JAX itself: a matrix exponential, say, that
+    depends on nothing but an interval."""
+    with jax.ensure_compile_time_eval():
+        values = [jnp.asarray(value) for value in values]
+        if inner is not None:
+            found = jex.jaxpr_as_fun(inner)(*values)
+        else:
+            found = equation.primitive.bind(*values, **equation.params)
+            found = found if equation.primitive.multiple_results else [found]
+        return [np.asarray(each) for each in found]
+
+
+CALLS = ("jaxpr", "call_jaxpr", "fun_jaxpr")
+
+
+def _inner(params: dict[str, Any]) -> Any:
+    """The closed jaxpr of a call: jit, custom derivatives, remat."""
+    for key in CALLS:
+        inner = params.get(key)
+        if inner is not None:
+            return inner if hasattr(inner, "consts") else jex.ClosedJaxpr(inner, ())
+    return None
+
+
+def _line(equation: Any) -> str:
+    """The line of the user's code that an equation comes from."""
+    traceback = equation.source_info.traceback
+    if traceback is None:
+        return ""
+    here = str(Path(__file__).parents[1])  # the engines
+    for frame in traceback.frames:
+        name = frame.file_name
+        foreign = any(part in name for part in ("/jax/", "/equinox/", "/jaxtyping/"))
+        if not foreign and not name.startswith((here, "<")):
+            return f" of {name}:{frame.line_num}"
+    return ""
+
+
+def _scan(graph, equation, *arguments):
+    p = equation.params
+    length, n, m = p["length"], p["num_consts"], p["num_carry"]
+    if length > UNROLLED:
+        raise Unsupported(f"it has {length} steps, more than the {UNROLLED} unrolled")
+    consts, carry, xs = arguments[:n], list(arguments[n : n + m]), arguments[n + m :]
+    steps = range(length)[::-1] if p["reverse"] else range(length)
+    stacked: list[Any] = [None] * length
+    for k in steps:
+        out = _closed(graph, p["jaxpr"], [*consts, *carry, *(np.asarray(x[k]) for x in xs)])
+        carry, stacked[k] = out[:m], out[m:]
+    count = len(equation.outvars) - m
+    ys = [
+        np.stack([row[j] for row in stacked])
+        if length
+        else np.empty(equation.outvars[m + j].aval.shape, np.int64)
+        for j in range(count)
+    ]
+    return [*carry, *ys]
+
+
+def _while(graph, equation, *arguments):
+    p = equation.params
+    nc, nb = p["cond_nconsts"], p["body_nconsts"]
+    cond_consts, body_consts = arguments[:nc], arguments[nc : nc + nb]
+    carry = list(arguments[nc + nb :])
+    for _ in range(UNROLLED):
+        (going,) = _closed(graph, p["cond_jaxpr"], [*cond_consts, *carry])
+        value = graph.value(int(going))
+        if value is None:
+            raise Unsupported("the number of its steps is not known when it is traced")
+        if not value:
+            return carry
+        carry = _closed(graph, p["body_jaxpr"], [*body_consts, *carry])
+    raise Unsupported(f"it has more than the {UNROLLED} steps that are unrolled")
+
+
+def _cond(graph, equation, which, *arguments):
+    branches = equation.params["branches"]
+    number = int(which)
+    value = graph.value(number)
+    if value is not None:
+        chosen = int(np.clip(int(value), 0, len(branches) - 1))
+        return _closed(graph, branches[chosen], list(arguments))
+    found = [_closed(graph, branch, list(arguments)) for branch in branches]
+    outs = found[-1]
+    for k in range(len(branches) - 2, -1, -1):
+        if graph.dtype(number) == np.bool_:
+            here = graph.op("not", number)
+        else:
+            here = graph.op("le", number, graph.const(k, graph.dtype(number)))
+        outs = [select(graph, here, a, b) for a, b in zip(found[k], outs, strict=True)]
+    return outs
+
+
+CONTROL = {"scan": _scan, "while": _while, "cond": _cond}

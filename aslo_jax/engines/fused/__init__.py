@@ -1,0 +1,1 @@
+"""The fused engine: loops compiled from functions, batches, tangents and replays."""

@@ -1,0 +1,187 @@
+"""The fused engine: a batch as one compiled loop, differentiable in its samples."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import PyTree
+
+from ..._checks import is_concrete
+from ..runtime.host import widths
+from .plan import Batch, Plan
+from .program import Bodies, Program
+from .tangents import Derivative, is_real, wide
+
+
+class Fused:
+    """A batch of one plan, `like` the shapes of one of its samples. Called with samples, it
+    runs; under a transformation of JAX it becomes a callback with a derivative of its own,
+    in forward mode: one run gives the values and, beside them, the tangents of all
+    directions."""
+
+    def __init__(
+        self, plan: Plan, like: PyTree, steps: int, every: int, threads: int | None
+    ):
+        self.plan, self.steps, self.every, self.threads = plan, steps, every, threads
+        self.sample, self.tree = jax.tree.flatten(like)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What runs; derivatives are for the process where it was made."""
+        self.program  # noqa: B018  traced here
+        return vars(self) | {"plan": None}
+
+    def __call__(self, samples: PyTree) -> Batch:
+        leaves = [
+            x if x.dtype == s.dtype else jnp.asarray(x, s.dtype)
+            for x, s in zip(jax.tree.leaves(samples), self.sample, strict=True)
+        ]
+        if not len(leaves[0]):
+            nothing = lambda s: jnp.zeros(s.shape, s.dtype)
+            return jax.tree.map(nothing, self._shapes(0))
+        if is_concrete(*leaves):
+            return jax.tree.map(jnp.asarray, self._run(leaves))
+        self.program  # noqa: B018  traced here, since a callback should leave JAX alone
+        return self._transformed(leaves)
+
+    def made(self, leaves: list[Any]) -> PyTree:
+        return jax.tree.unflatten(self.tree, leaves)
+
+    # -- values --------------------------------------------------------------------------
+
+    @functools.cached_property
+    def program(self) -> Program:
+        """The loop, traced when it is first asked for, and compiled when first called."""
+
+        def advance(k, state, inputs):
+            sample = self.made(inputs["lane"])
+            return self.plan.step(k, state, sample, self.plan.prepared(sample))
+
+        bodies = Bodies(
+            lambda inputs: self.plan.first(self.made(inputs["lane"])),
+            advance,
+            lambda state, inputs: self.plan.results(state),
+        )
+        return Program.of(bodies, {"lane": self.sample}, widths())
+
+    def _run(self, leaves: list[Any]) -> Batch:
+        leaves = [np.asarray(x) for x in leaves]
+        record, final = self._execute(self.program, {"lane": leaves}, leaves[0])
+        return Batch(final, record)
+
+    def _execute(self, program: Program, inputs: PyTree, like: np.ndarray):
+        settings = {"every": self.every, "threads": self.threads}
+        return program(inputs, len(like), self.steps, **settings)
+
+    # -- under transformations -----------------------------------------------------------
+
+    def _shapes(self, lanes: int) -> Batch:
+        """Of the results."""
+        rows, program = self.steps // self.every + 1, self.program
+        return Batch(wide(program.final, lanes), wide(program.record, lanes, rows))
+
+    def _transformed(self, leaves: list[Any]) -> Batch:
+        run = jax.custom_jvp(self._values())
+
+        def derivative(primals, tangents):
+            (leaves,), (rates,) = primals, tangents
+            moved = [
+                k
+                for k, rate in enumerate(rates)
+                if is_real(self.sample[k]) and not isinstance(rate, SymbolicZero)
+            ]
+            push = self._pushed(moved)
+            out, tangent = push(leaves, [rates[k][None] for k in moved])
+            return out, _with_integers(out, [x[0] for x in tangent])
+
+        run.defjvp(derivative, symbolic_zeros=True)
+        return run(leaves)
+
+    def _values(self) -> Callable[[list[Any]], Batch]:
+        """From the samples to the results, where further axes are more lanes."""
+
+        @jax.custom_batching.custom_vmap
+        def values(leaves):
+            return jax.pure_callback(self._run, self._shapes(len(leaves[0])), leaves)
+
+        @values.def_vmap
+        def batched(size, axes, leaves):
+            out = values(_more(leaves, axes[0], size, 0))
+            out = jax.tree.map(lambda x: _fewer(x, size, 0), out)
+            return out, jax.tree.map(lambda _: True, out)
+
+        return values
+
+    def _pushed(self, moved: list[int]) -> Callable[..., tuple[Batch, list[Any]]]:
+        """From the samples, and the tangents of the leaves `moved` with a leading axis of
+        directions, to the results and the tangents of the real ones, all of one run.
+
+        Further axes are more lanes, or more directions where only the tangents have them:
+        the results do not have them either then."""
+        push = Derivative(self.plan, self.made, self.sample, self.program, moved)
+
+        def run(leaves, rates):
+            directions = len(rates[0])
+            program = push.program(directions, widths())
+            rates = [np.moveaxis(np.asarray(x), 0, 1) for x in rates]
+            lane = [np.asarray(x) for x in leaves], rates
+            record, final = self._execute(program, {"lane": lane}, lane[0][0])
+            (record, record_rates), (final, final_rates) = record, final
+            rates = (np.moveaxis(x, 1, 0) for x in final_rates)
+            kept = (np.moveaxis(x, 2, 0) for x in record_rates)
+            return Batch(final, record), [*rates, *kept]
+
+        @jax.custom_batching.custom_vmap
+        def pushed(leaves, rates):
+            shapes = self._shapes(len(leaves[0]))
+            real = [s for s in jax.tree.leaves(shapes) if is_real(s)]
+            return jax.pure_callback(
+                run, (shapes, wide(real, len(rates[0]))), leaves, rates
+            )
+
+        @pushed.def_vmap
+        def batched(size, axes, leaves, rates):
+            lanes = any(axes[0])
+            if lanes:
+                leaves = _more(leaves, axes[0], size, 0)
+            out, tangent = pushed(leaves, _more(rates, axes[1], size, int(lanes)))
+            if lanes:
+                out = jax.tree.map(lambda x: _fewer(x, size, 0), out)
+            tangent = [_fewer(x, size, int(lanes)) for x in tangent]
+            return (out, tangent), (
+                jax.tree.map(lambda _: lanes, out),
+                [True] * len(tangent),
+            )
+
+        return pushed
+
+
+def _more(arrays: list[Any], batched: list[bool], size: int, axis: int) -> list[Any]:
+    """Arrays whose new leading axis, where they have one, becomes a part of `axis`, and
+    those without repeated along it."""
+
+    def folded(x, has):
+        x = x if has else jnp.broadcast_to(x, (size, *x.shape))
+        x = jnp.moveaxis(x, 0, axis)
+        return x.reshape(*x.shape[:axis], size * x.shape[axis + 1], *x.shape[axis + 2 :])
+
+    return [folded(x, has) for x, has in zip(arrays, batched, strict=True)]
+
+
+def _fewer(x: Any, size: int, axis: int) -> Any:
+    """Undoes [`_more`][]: the part of `axis` is a leading axis again."""
+    lead, count, rest = x.shape[:axis], x.shape[axis] // size, x.shape[axis + 1 :]
+    return jnp.moveaxis(x.reshape(*lead, size, count, *rest), axis, 0)
+
+
+def _with_integers(out: PyTree, tangent: list[Any]) -> PyTree:
+    """The tangents as a tree like `out`; what is no real number has none."""
+    leaves, tree = jax.tree.flatten(out)
+    given = iter(tangent)
+    filled = [
+        next(given) if is_real(x) else np.zeros(x.shape, jax.dtypes.float0) for x in leaves
+    ]
+    return jax.tree.unflatten(tree, filled)

@@ -1,0 +1,58 @@
+"""What a batch runs, for one sample."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import PyTree
+
+from ...experiment import Experiment, Record
+from ...metrics import AbstractMetric
+
+
+class Batch(eqx.Module):
+    """The results of `N` experiments, every leaf with a leading axis of length N.
+
+    - `metrics`: by name;
+    - `record`: what was asked to be recorded, with a second axis of `steps // every + 1`
+      samples, the first at t = 0; `None` where nothing was.
+    """
+
+    metrics: dict[str, PyTree]
+    record: PyTree
+
+
+class Plan(eqx.Module):
+    """The loop of one sample: its state is the experiment's carry and that of the metrics,
+    its output what is kept of a record."""
+
+    make: Callable[[PyTree], Experiment]
+    metrics: dict[str, AbstractMetric]
+    record: Callable[[Record], PyTree] | None
+
+    def first(self, sample: PyTree) -> tuple[PyTree, PyTree]:
+        carry, record = self.make(sample).init()
+        metrics = {name: m.init(record) for name, m in self.metrics.items()}
+        return (carry, metrics), self._kept(record)
+
+    def prepared(self, sample: PyTree) -> PyTree:
+        """What depends on the sample only."""
+        experiment = self.make(sample)
+        carry, _ = experiment.init()
+        return experiment.prepare(carry)
+
+    def step(
+        self, k: Any, state: PyTree, sample: PyTree, prepared: PyTree
+    ) -> tuple[PyTree, PyTree]:
+        carry, metrics = state
+        carry, record = self.make(sample).advance(k, carry, prepared)
+        metrics = {n: m.update(metrics[n], record) for n, m in self.metrics.items()}
+        return (carry, metrics), self._kept(record)
+
+    def results(self, state: PyTree) -> dict[str, PyTree]:
+        """The metrics, from the last state."""
+        _, metrics = state
+        return {name: m.result(metrics[name]) for name, m in self.metrics.items()}
+
+    def _kept(self, record: Record) -> PyTree:
+        return None if self.record is None else self.record(record)

@@ -1,0 +1,244 @@
+"""A loop over time, traced, compiled, and run over lanes by a pool of threads."""
+
+import functools
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import PyTree
+
+from ..backend.step import Body, Step, chosen
+from ..frontend.lower import flatten
+from ..ir.graph import Graph
+from ..ir.loop import Loop, varying
+from ..passes import optimised
+from ..runtime.columns import COLUMNS, blank, columns_of, gathered, stored
+from ..runtime.host import available_threads, register
+from ..runtime.kernel import Kernel
+
+KINDS = ("shared", "lane", "log", "lane log")
+# Of several threads one rewrites and compiles, and the others wait.
+_COMPILING = threading.RLock()
+
+
+class Bodies(NamedTuple):
+    """What a loop does, as functions of trees of arrays:
+
+    - `begin(inputs) -> (carry, first)`;
+    - `advance(k, carry, inputs) -> (carry, record)`, for each step k;
+    - `finish(carry, inputs) -> final`.
+
+    `inputs` are trees by kind: `shared` by all lanes, one for each `lane`, one for each
+    step (`log`), or for both (`lane log`); only `advance` has the logs. `first` is a record
+    of what is before the first step, or None.
+    """
+
+    begin: Callable[[dict[str, PyTree]], tuple[PyTree, PyTree]]
+    advance: Callable[[Any, PyTree, dict[str, PyTree]], tuple[PyTree, PyTree]]
+    finish: Callable[[PyTree, dict[str, PyTree]], PyTree]
+
+
+class Traced(NamedTuple):
+    """The bodies as closed jaxprs, and the trees of shapes of what they return."""
+
+    begin: Any
+    advance: Any
+    finish: Any
+    carry: PyTree
+    first: PyTree
+    record: PyTree
+    final: PyTree
+
+
+def trace(bodies: Bodies, inputs: dict[str, PyTree]) -> Traced:
+    """The bodies, traced for inputs of the given shapes, those of one lane and one step."""
+    make = functools.partial(jax.make_jaxpr, return_shape=True)
+    fixed = constant_in_time(inputs)
+    begin, (carry, first) = make(bodies.begin)(fixed)
+    advance, (after, record) = make(bodies.advance)(_step(), carry, inputs)
+    finish, final = make(bodies.finish)(carry, fixed)
+    if _shapes(after) != _shapes(carry):
+        raise ValueError(
+            "The carry of a loop must keep its shapes and types, but a step makes "
+            f"{_shapes(after)} of {_shapes(carry)}."
+        )
+    return Traced(begin, advance, finish, carry, first, record, final)
+
+
+def constant_in_time(inputs: dict[str, PyTree]) -> dict[str, PyTree]:
+    return {kind: tree for kind, tree in inputs.items() if kind in ("shared", "lane")}
+
+
+class Inputs:
+    """A graph of inputs only, and the nodes of each of their leaves."""
+
+    def __init__(self, carry: PyTree, inputs: dict[str, PyTree]):
+        self.graph = Graph()
+        step = self.graph.input(np.int64, ("step", 0))
+        self.step = np.asarray(self.graph.convert(step, _step().dtype))
+        self.carry = _numbered(self.graph, "carry", carry)
+        # In the order of `jax.tree.leaves` of the dictionary.
+        self.by_kind = {k: _numbered(self.graph, k, inputs[k]) for k in sorted(inputs)}
+
+    @property
+    def all(self) -> list[np.ndarray]:
+        return [n for numbers in self.by_kind.values() for n in numbers]
+
+    @property
+    def fixed(self) -> list[np.ndarray]:
+        return [n for numbers in constant_in_time(self.by_kind).values() for n in numbers]
+
+
+def _step() -> jax.ShapeDtypeStruct:
+    wide = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+    return jax.ShapeDtypeStruct((), np.dtype(np.int64 if wide else np.int32))
+
+
+class Program:
+    """A loop, compiled when it is first called: `record` and `final` are trees of shapes
+    and types of what the nodes of the loop mean.
+
+    It can be sent to other processes, which compile it for themselves."""
+
+    def __init__(self, loop: Loop, record: PyTree, final: PyTree, widths: Sequence[int]):
+        self.raw = loop
+        self.record, self.final = record, final
+        self.widths = widths
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without machine code, and what is quickly made again."""
+        return {
+            k: v for k, v in vars(self).items() if k not in ("loop", "_step", "_kernels")
+        }
+
+    @functools.cached_property
+    def loop(self) -> Loop:
+        """The one that is compiled."""
+        with _COMPILING:
+            return optimised(self.raw)
+
+    @functools.cached_property
+    def _kernels(self) -> tuple[Kernel, Kernel | None, Kernel | None]:
+        """The loop, and what makes its timetable."""
+        beside, along = self.loop.tables
+        step = lambda loop, width: Kernel(Step(Body(loop), width, register()))
+        return (
+            Kernel(self._step),
+            None if beside is None else step(beside, self.width),
+            None if along is None else step(along, 1),
+        )
+
+    @functools.cached_property
+    def _step(self) -> Step:
+        return chosen(self.loop, self.widths, register())
+
+    @property
+    def width(self) -> int:
+        """How many lanes the kernel advances at a time."""
+        return self._step.width
+
+    @classmethod
+    def of(
+        cls, bodies: Bodies, inputs: dict[str, PyTree], widths: Sequence[int]
+    ) -> "Program":
+        """Of functions, traced for inputs of the given shapes."""
+        traced = trace(bodies, inputs)
+        given = Inputs(traced.carry, inputs)
+        graph, size = given.graph, len(given.carry)
+        begin = flatten(graph, traced.begin, given.fixed)
+        arguments = [given.step, *given.carry, *given.all]
+        advance = flatten(graph, traced.advance, arguments)
+        finish = flatten(graph, traced.finish, [*given.carry, *given.fixed])
+        loop = Loop(
+            graph,
+            flat(begin[:size]),
+            flat(advance[:size]),
+            record=flat(advance[size:]),
+            first=flat(begin[size:]),
+            final=flat(finish),
+        )
+        return cls(loop, traced.record, traced.final, widths)
+
+    @property
+    def operations(self) -> int:
+        """How many operations one step of one lane takes, a product with a sum counted as
+        two; what a step shares with all others or all lanes is not counted."""
+        nodes, total = self.loop.graph.nodes, 0
+        for number, varies in varying(self.loop.graph, self.loop.of_a_step()).items():
+            node = nodes[number]
+            if node.op not in ("const", "input") and all(varies):
+                total += 2 if node.op == "fma" else 1
+        return total
+
+    def __call__(
+        self,
+        inputs: dict[str, PyTree],
+        lanes: int,
+        steps: int,
+        *,
+        every: int = 1,
+        threads: int | None = None,
+    ) -> tuple[PyTree, PyTree]:
+        """The records and what is final, NumPy arrays with a leading axis of `lanes`;
+        records have a second one of `steps // every`, and one more for the first."""
+        with _COMPILING:
+            kernel, *_ = self._kernels
+        padded = -(-lanes // self.width) * self.width
+        columns: dict[Any, np.ndarray] = {}
+        for kind, tree in inputs.items():
+            columns |= _slots(kind, COLUMNS[kind](tree, padded))
+        columns |= self._times(columns, steps)
+        rows = steps // every + (1 if self.loop.first else 0)
+        record, final = blank(self.record, rows, padded), blank(self.final, padded)
+        columns |= _slots("record", columns_of(record, 2))
+        columns |= _slots("final", columns_of(final, 1))
+        threads = available_threads() if threads is None else threads
+        kernel(columns, padded, steps, every, threads)
+        return gathered(record, self.record, lanes), gathered(final, self.final, lanes)
+
+    def _times(self, columns: dict[Any, np.ndarray], steps: int) -> dict[Any, np.ndarray]:
+        """The columns of the timetable."""
+        _, beside, along = self._kernels
+        found: list[np.ndarray] = []
+        if beside is not None:
+            padded = -(-steps // beside.width) * beside.width
+            made = _columns(beside.loop, beside.loop.final, padded)
+            given = columns | {("lane", 0): np.arange(padded)}
+            beside(given | _slots("final", made), padded, 0)
+            found += made
+        if along is not None:
+            made = _columns(along.loop, along.loop.record, steps, along.width)
+            along(columns | _slots("record", made), along.width, steps)
+            found += made
+        return _slots("time", found)
+
+
+def _slots(kind: str, columns: Sequence[np.ndarray]) -> dict[Any, np.ndarray]:
+    return {(kind, i): column for i, column in enumerate(columns)}
+
+
+def _columns(loop: Loop, numbers: Sequence[int], *axes: int) -> list[np.ndarray]:
+    """For nodes of a loop."""
+    return [np.empty(axes, stored(loop.graph.dtype(n))) for n in numbers]
+
+
+def _shapes(tree: PyTree) -> list[tuple[tuple[int, ...], np.dtype]]:
+    return [(leaf.shape, np.dtype(leaf.dtype)) for leaf in jax.tree.leaves(tree)]
+
+
+def _numbered(graph: Graph, kind: str, tree: PyTree) -> list[np.ndarray]:
+    """An array of input nodes for each leaf; their slots count through the tree."""
+    count, found = 0, []
+    for shape, dtype in _shapes(tree):
+        numbers = np.empty(shape, np.int64)
+        for index in np.ndindex(shape):
+            numbers[index] = graph.input(dtype, (kind, count))
+            count += 1
+        found.append(numbers)
+    return found
+
+
+def flat(arrays: list[np.ndarray]) -> tuple[int, ...]:
+    return tuple(int(n) for array in arrays for n in array.flat)

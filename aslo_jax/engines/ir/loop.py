@@ -1,0 +1,103 @@
+"""A loop over time as nodes of a graph."""
+
+import dataclasses
+import functools
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from .graph import Graph
+
+Slot = tuple[str, int]
+
+
+class Tables(NamedTuple):
+    """What makes the inputs `("time", k)` of a loop: those of `beside` first, then those of
+    `along`.
+
+    - `beside`: what depends on the time index and on what is shared alone. A loop without
+      steps, whose lanes are the steps, given their indices as `("lane", 0)`, and whose
+      final values are the columns.
+    - `along`: what follows from step to step. A loop whose records are the columns.
+    """
+
+    beside: "Loop | None" = None
+    along: "Loop | None" = None
+
+
+NO_TABLES = Tables()
+
+
+@dataclasses.dataclass(frozen=True)
+class Loop:
+    """What a kernel computes: nodes of `graph`, whose inputs have the slots
+
+    - `("step", 0)`: the time index, int64;
+    - `("shared", i)`, `("lane", i)`: constant in time, one value for all lanes or one each;
+    - `("log", i)`, `("lane log", i)`: the same, with one entry for each step;
+    - `("time", i)`: a log that is computed beforehand (`timetable`);
+    - `("carry", i)`: the i-th value that goes on from step to step.
+
+    `begin` holds the nodes of the first carry, functions of what is constant in time, and
+    `carry` those of the next one. `first`, none or as many as `record`, is written before
+    the first step, and `record` at every so manyth one. `final` is what the last carry
+    leaves: functions of it and of what is constant in time. `tables` make the inputs
+    `("time", i)`.
+    """
+
+    graph: Graph
+    begin: tuple[int, ...]
+    carry: tuple[int, ...]
+    record: tuple[int, ...] = ()
+    first: tuple[int, ...] = ()
+    final: tuple[int, ...] = ()
+    tables: Tables = NO_TABLES
+
+    def of_a_step(self) -> list[int]:
+        """The nodes of a step, those of its record included, arguments first."""
+        return self.graph.reachable([*self.carry, *self.record])
+
+    def needed(self) -> list[int]:
+        """All nodes, arguments first."""
+        roots = [*self.begin, *self.carry, *self.record, *self.first, *self.final]
+        return self.graph.reachable(roots)
+
+    @functools.cached_property
+    def slots(self) -> list[Slot]:
+        """The pointers that a kernel takes, in their order: every input but the step and
+        the carry, then the records and what is final."""
+        nodes = self.graph.nodes
+        inputs = {nodes[n].data for n in self.needed() if nodes[n].op == "input"}
+        return [
+            *sorted(s for s in inputs if s[0] not in ("carry", "step")),
+            *(("record", i) for i in range(len(self.record))),
+            *(("final", i) for i in range(len(self.final))),
+        ]
+
+
+def varying(graph: Graph, numbers: Iterable[int]) -> dict[int, tuple[bool, bool]]:
+    """Whether nodes change over time, and over lanes; arguments come first."""
+    found: dict[int, tuple[bool, bool]] = {}
+    for number in numbers:
+        node = graph.nodes[number]
+        found[number] = node.varies([found[a] for a in node.args])
+    return found
+
+
+def uniform(loop: Loop) -> set[int]:
+    """The entries of the carry that are the same for all lanes, and that follow from the
+    time index and from what is shared alone."""
+    graph = loop.graph
+    numbers = graph.reachable([*loop.begin, *loop.carry])
+    found = set(range(len(loop.carry)))
+    while True:
+        same: set[int] = set()
+        for number in numbers:
+            node = graph.nodes[number]
+            kind, i = node.data if node.op == "input" else ("shared", 0)
+            known = kind in ("step", "shared") or (kind == "carry" and i in found)
+            if known and same.issuperset(node.args):
+                same.add(number)
+        fewer = {i for i in found if {loop.begin[i], loop.carry[i]} <= same}
+        if fewer == found:
+            return found
+        found = fewer

@@ -1,0 +1,1 @@
+"""A step as the text of LLVM's intermediate representation."""

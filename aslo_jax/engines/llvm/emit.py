@@ -1,0 +1,379 @@
+"""From a graph to LLVM's intermediate representation: one function that advances many
+lanes through many steps, its vectors explicit.
+
+What a step reads lies in a frame of memory: the carry, twice, since a step reads one half
+and writes the other, constants, what varies over lanes only, and values that wait
+(`registers`). LLVM would load a place once, keep what it found, and store that elsewhere
+for want of registers. Hence a step takes turns with several pointers to the frame, of which
+LLVM does not know that they are the same.
+"""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from ..backend.splitting import Part
+from ..backend.step import Step
+from ..ir.loop import Slot
+from ..ir.selection import Instruction
+from .layout import POINTERS, Layout
+from .writer import SHIFTS
+
+
+def emit(step: Step) -> str:
+    """The text of a kernel whose loop has that step: `void kernel(i64 first, i64 last, i64
+    lanes, i64 steps, i64 every, ptr table)`.
+
+    It runs the lanes first to last - 1 of `lanes`, all three multiples of the step's width,
+    through `steps` steps. `table` holds one pointer for each of the loop's slots.
+    """
+    return _Kernel(step).text()
+
+
+class _Kernel:
+    def __init__(self, step: Step):
+        self.layout = Layout(step)
+        self.out = self.layout.out
+        self.graph, self.loop = self.layout.graph, self.layout.loop
+        self.body, self.varies = step.body, step.body.varies
+        self.pointers: dict[Slot, str] = {}
+        self.scalars: dict[int, str] = {}
+        self.vectors: dict[int, str] = {}
+        self.inputs: dict[Slot, int] = {
+            self.graph.nodes[n].data: n
+            for n in self.varies
+            if self.graph.nodes[n].op == "input"
+        }
+
+    def operand(self, number: int, vector: bool) -> str:
+        node = self.graph.nodes[number]
+        if node.op == "const":
+            return self.out.constant(node.data, node.dtype, vector)
+        if not vector:
+            return self.scalars[number]
+        if number not in self.vectors:
+            self.vectors[number] = self.out.splat(self.scalars[number], node.dtype)
+        return self.vectors[number]
+
+    def compute(self, numbers: Iterable[int]) -> None:
+        """Emits the nodes, each on a vector where it varies over lanes."""
+        for number in numbers:
+            node = self.graph.nodes[number]
+            if node.op in ("const", "input"):
+                continue
+            vector = self.varies[number][1]
+            x = [self.operand(a, vector) for a in node.args]
+            result = self.result(number, node.op, node.args, x, vector)
+            (self.vectors if vector else self.scalars)[number] = result
+
+    def result(
+        self, number: int, op: str, args: tuple[int, ...], x: list[str], vector: bool
+    ) -> str:
+        """`op`, on the nodes `args` that have the names x."""
+        node = self.graph.nodes[number]
+        if op == "table":
+            return self.out.lookup(node.data, x[0], vector)
+        if op in SHIFTS:
+            return self.out.shift(op, node.dtype, x, vector, self.graph.value(args[1]))
+        return self.out.operation(op, node.dtype, self.graph.dtype(args[-1]), x, vector)
+
+    # -- blocks --------------------------------------------------------------------------
+
+    def text(self) -> str:
+        self._entry()
+        self._begin()
+        self._advance()
+        self._record()
+        self._finish()
+        arguments = ", ".join(
+            f"i64 %{a}" for a in ("first", "last", "lanes", "steps", "every")
+        )
+        wide = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
+        return "\n".join(
+            [
+                *(definition for _, definition in self.out.tables.values()),
+                f"define void @kernel({arguments}, ptr noalias %table) #0 {{",
+                "entry:",
+                f"  %memory = alloca [{max(self.layout.frame.size, 1)} x i8], align 64",
+                *self.out.lines,
+                "}",
+                *sorted(self.out.declarations),
+                f"attributes #0 = {{ nounwind {wide} }}",
+                "",
+            ]
+        )
+
+    def _entry(self) -> None:
+        """Once: pointers, and what varies over neither time nor lanes."""
+        for k, slot in enumerate(self.loop.slots):
+            place = self.out.define(f"getelementptr ptr, ptr %table, i64 {k}")
+            self.pointers[slot] = self.out.define(f"load ptr, ptr {place}")
+        self.out.line("%self = alloca ptr")
+        self.out.line("store ptr %memory, ptr %self")
+        for k in range(POINTERS):
+            self.out.line(f"%frame{k} = load volatile ptr, ptr %self")
+        for slot, number in self.inputs.items():
+            if slot[0] == "shared":
+                dtype = self.graph.dtype(number)
+                self.scalars[number] = self.out.load(self.pointers[slot], dtype, False)
+        self.compute(n for n, varies in self.varies.items() if varies == (False, False))
+        for number, offset in self.layout.constants.items():
+            node = self.graph.nodes[number]
+            with self.layout.on(self.layout.register // node.dtype.itemsize):
+                value = self.out.constant(node.data, node.dtype, True)
+                self.out.store(value, self.layout.at(offset), node.dtype)
+        self.out.line("br label %block")
+
+    def _begin(self) -> None:
+        """For each block of lanes: its first state, and what varies over lanes only."""
+        self.out.label("block")
+        self.out.line("%lane = phi i64 [ %first, %entry ], [ %next_lane, %finish ]")
+        self.out.line("%begun = icmp slt i64 %lane, %last")
+        self.out.line("br i1 %begun, label %begin, label %done")
+        self.out.label("begin")
+        for slot, number in self.inputs.items():
+            if slot[0] == "lane":
+                dtype = self.graph.dtype(number)
+                place = self.out.offset(self.pointers[slot], dtype, "%lane")
+                self.vectors[number] = self.out.load(place, dtype, True)
+        self.compute(n for n, varies in self.varies.items() if varies == (False, True))
+        for i, number in enumerate(self.loop.begin):
+            self._keep(i, self.operand(number, True), "0")
+        for number, offset in self.layout.fixed.items():
+            value, dtype = self.operand(number, True), self.graph.dtype(number)
+            self.layout.put(value, self.layout.at(offset), dtype)
+        if self.loop.first:
+            self._write("record", self.loop.first, "0")
+        self.out.line("br label %time")
+
+    def _keep(self, i: int, value: str, base: str) -> None:
+        self.layout.put(
+            value, self.layout.at(*self.layout.home(i, base)), self.layout.carried[i]
+        )
+
+    def _write(self, kind: str, numbers: tuple[int, ...], row: str) -> None:
+        for i, number in enumerate(numbers):
+            value, dtype = self.operand(number, True), self.graph.dtype(number)
+            self.out.store(value, self._place(row, self.pointers[kind, i], dtype), dtype)
+
+    def _advance(self) -> None:
+        """For each step: the next state."""
+        rows = 1 if self.loop.first else 0
+        self.out.label("time")
+        self.out.line("%k = phi i64 [ 0, %begin ], [ %next_k, %advanced ]")
+        self.out.line("%left = phi i64 [ %every, %begin ], [ %next_left, %advanced ]")
+        self.out.line(f"%saved = phi i64 [ {rows}, %begin ], [ %next_saved, %advanced ]")
+        self.out.line("%now = phi i64 [ 0, %begin ], [ %next, %advanced ]")
+        self.out.line(f"%next = sub i64 {self.layout.half}, %now")
+        self.out.line("%running = icmp slt i64 %k, %steps")
+        self.out.line("br i1 %running, label %advance, label %finish")
+        self.out.label("advance")
+        self.invariant = dict(self.vectors)  # a splat made in here is of no use after it
+        for slot, number in self.inputs.items():
+            if slot[0] not in ("carry", "lane log"):
+                self._read(slot, number)
+        self.compute(self.body.scalars)
+        self.spreads: dict[tuple[int, int], str] = {}
+        self._make()
+        self.out.line("%next_k = add i64 %k, 1")
+        self.out.line("%fewer = sub i64 %left, 1")
+        self.out.line("%due = icmp eq i64 %fewer, 0")
+        self.out.line("br i1 %due, label %record, label %advanced")
+
+    def _make(self) -> None:
+        """The vectors of a step, and the next carry."""
+        carry: dict[int, list[int]] = {}
+        for i, number in enumerate(self.loop.carry):
+            carry.setdefault(number, []).append(i)
+        whole = {n: self.layout.home(places[0], "%next") for n, places in carry.items()}
+        for n in self.body.leaving - carry.keys():
+            whole[n] = (
+                self.layout.frame.place(n, self.layout.size(self.graph.dtype(n))),
+                "0",
+            )
+        home = {
+            v: (offset + self.layout.first(v), base)
+            for n, (offset, base) in whole.items()
+            for v in self.layout.parts(n)
+        }
+        self.parts: dict[Part, str] = {}
+        for event in self.layout.step.events:
+            value = event.value
+            dtype, lanes = self.graph.dtype(value.number), self.layout.lanes(value.number)
+            with self.layout.on(lanes):
+                if event.action == "load" and value.number not in self.layout.made:
+                    self.parts[value] = self._lasting(value)
+                elif event.action == "drop":
+                    self.parts.pop(value)
+                elif event.action == "load":
+                    place = self.layout.at(*home[value], turn=True)
+                    self.parts[value] = self.layout.got(place, dtype)
+                elif event.action == "store":
+                    size = self.layout.size(dtype) // self.layout.step.parts(value.number)
+                    home[value] = self.layout.frame.place(value, size), "0"
+                    self.layout.put(self.parts[value], self.layout.at(*home[value]), dtype)
+                elif event.action == "free":
+                    self.layout.frame.free(value)
+                elif event.instruction is not None:
+                    self.parts[value] = self._done(event.instruction)
+                    for i in carry.get(value.number, ()):
+                        self._keep_part(i, value, self.parts[value])
+                    if value.number in self.body.leaving - carry.keys():
+                        self.layout.put(
+                            self.parts[value], self.layout.at(*home[value]), dtype
+                        )
+        for number in carry.keys() - self.layout.made:
+            with self.layout.on(self.layout.lanes(number)):
+                for value in self.layout.parts(number):
+                    given = (
+                        self._given(value) if self._differs(number) else self._alike(number)
+                    )
+                    for i in carry[number]:
+                        self._keep_part(i, value, given)
+        self.leaving = {n: whole[n] for n in self.body.leaving}
+
+    def _keep_part(self, i: int, value: Part, name: str) -> None:
+        offset, base = self.layout.home(i, "%next")
+        place = self.layout.at(offset + self.layout.first(value), base)
+        self.layout.put(name, place, self.layout.carried[i])
+
+    def _done(self, instruction: Instruction[Part]) -> str:
+        """The name of what an instruction of a step makes."""
+        (number, _), op, args = instruction
+        mine, position = self.layout.step.parts(number), 0
+        nodes, x = [], []
+        while position < len(args):
+            first = args[position]
+            many = max(self.layout.step.parts(first.number) // mine, 1)
+            if not self._differs(first.number):
+                many = 1
+            shift = op in SHIFTS and position + many == len(args)
+            x.append(self._operand(args[position : position + many], instruction, shift))
+            nodes.append(first.number)
+            position += many
+        return self.result(number, op, tuple(nodes), x, True)
+
+    def _operand(
+        self, parts: Sequence[Part], instruction: Instruction[Part], literal: bool
+    ) -> str:
+        """Of an instruction, an argument in some parts; a constant as a `literal`."""
+        number, lanes = parts[0].number, self.out.width
+        alike = number not in self.layout.made and not self._differs(number)
+        if (
+            alike
+            and not literal
+            and parts[0] in self.parts
+            and self.layout.lanes(number) == lanes
+        ):
+            return self.parts[parts[0]]
+        if alike:
+            return self._alike(number, literal)
+        own, dtype = self.layout.lanes(number), self.graph.dtype(number)
+        with self.layout.on(own):
+            names = [self.parts.get(p) or self._given(p) for p in parts]
+        if len(parts) > 1:
+            return self.out.joined(names, dtype)
+        with self.layout.on(own):
+            first = instruction.result.place * lanes - parts[0].place * own
+            return self.out.cut(names[0], max(first, 0), lanes, dtype)
+
+    def _lasting(self, value: Part) -> str:
+        """What a step does not make, in a register for several instructions."""
+        if self._differs(value.number):
+            return self._given(value)
+        return self._alike(value.number)
+
+    def _differs(self, number: int) -> bool:
+        """Whether what a step does not make is another for each lane."""
+        return self.varies[number][1]
+
+    def _alike(self, number: int, literal: bool = False) -> str:
+        """What is the same for all lanes, on as many as vectors have."""
+        node, key = self.graph.nodes[number], (number, self.out.width)
+        if number in self.layout.constants and not literal:
+            return self.out.load(
+                self.layout.at(self.layout.constants[number], turn=True), node.dtype, True
+            )
+        if node.op == "const":
+            return self.out.constant(node.data, node.dtype, True)
+        if node.op == "input" and node.data[0] in ("time", "log"):
+            place = self.out.offset(self.pointers[node.data], node.dtype, "%k")
+            return self.out.splat(self.out.load(place, node.dtype, False), node.dtype)
+        if key not in self.spreads:
+            self.spreads[key] = self.out.splat(self.scalars[number], node.dtype)
+        return self.spreads[key]
+
+    def _given(self, value: Part) -> str:
+        """A part of what a step does not make, and what is another for each lane."""
+        number, node = value.number, self.graph.nodes[value.number]
+        if number in self.layout.fixed:
+            place = self.layout.at(
+                self.layout.fixed[number] + self.layout.first(value), turn=True
+            )
+            return self.layout.got(place, node.dtype)
+        kind, i = node.data
+        if kind == "carry":
+            offset, base = self.layout.home(i, "%now")
+            place = self.layout.at(offset + self.layout.first(value), base, turn=True)
+            return self.layout.got(place, node.dtype)
+        row = self._place("%k", self.pointers[node.data], node.dtype)
+        return self.out.load(
+            self.out.offset(row, node.dtype, str(value.place * self.out.width)),
+            node.dtype,
+            True,
+        )
+
+    def _read(self, slot: Slot, number: int) -> None:
+        """An input that varies over time."""
+        (kind, i), dtype = slot, self.graph.dtype(number)
+        if kind == "step":
+            self.scalars[number] = "%k"
+        elif kind in ("log", "time"):
+            place = self.out.offset(self.pointers[slot], dtype, "%k")
+            self.scalars[number] = self.out.load(place, dtype, False)
+        elif kind == "lane log":
+            place = self._place("%k", self.pointers[slot], dtype)
+            self.vectors[number] = self.out.load(place, dtype, True)
+        elif kind == "carry":
+            place = self.layout.at(*self.layout.home(i, "%now"))
+            self.vectors[number] = self.layout.got(place, dtype)
+
+    def _place(self, row: str, pointer: str, dtype: np.dtype) -> str:
+        """Where the lanes of a row are."""
+        first = self.out.define(f"mul i64 {row}, %lanes")
+        return self.out.offset(pointer, dtype, self.out.define(f"add i64 {first}, %lane"))
+
+    def _record(self) -> None:
+        """At every so manyth step: what only the records need, and the records."""
+        self.out.label("record")
+        self.vectors = dict(self.invariant)
+        for slot, number in self.inputs.items():
+            if slot[0] in ("carry", "lane log"):
+                self._read(slot, number)
+        for number, home in self.leaving.items():
+            place, dtype = self.layout.at(*home), self.graph.dtype(number)
+            self.vectors[number] = self.layout.got(place, dtype)
+        self.compute(self.body.record)
+        self._write("record", self.loop.record, "%saved")
+        self.out.line("%more_saved = add i64 %saved, 1")
+        self.out.line("br label %advanced")
+        self.vectors = self.invariant
+        self.out.label("advanced")
+        self.out.line("%next_left = phi i64 [ %fewer, %advance ], [ %every, %record ]")
+        self.out.line(
+            "%next_saved = phi i64 [ %saved, %advance ], [ %more_saved, %record ]"
+        )
+        self.out.line("br label %time")
+
+    def _finish(self) -> None:
+        """For each block of lanes: what its last state leaves."""
+        self.out.label("finish")
+        for slot, number in self.inputs.items():
+            if slot[0] == "carry":
+                self._read(slot, number)
+        self.compute(self.body.moving(self.graph.reachable(list(self.loop.final))))
+        self._write("final", self.loop.final, "0")
+        self.out.line(f"%next_lane = add i64 %lane, {self.out.width}")
+        self.out.line("br label %block")
+        self.out.label("done")
+        self.out.line("ret void")

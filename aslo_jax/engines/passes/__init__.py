@@ -1,0 +1,51 @@
+"""Passes over a loop, one in a file, each from a loop to one with the same results.
+
+`PASSES` are the pipeline, in their order; what each is worth is measured by
+`python -m benchmarks ablation`.
+"""
+
+from collections.abc import Callable, Collection
+from typing import NamedTuple
+
+from ..ir.loop import Loop
+from ..ir.rewrite import pruned
+from .commoning import kept
+from .congruence import merged
+from .correlated import decided
+from .factors import factored
+from .quotients import undivided
+from .retiming import retimed
+from .timetable import timetabled
+
+
+class Pass(NamedTuple):
+    name: str
+    run: Callable[[Loop], Loop]
+
+
+PASSES = (
+    Pass("congruence", merged),
+    Pass("commoning", kept),
+    Pass("congruence", merged),
+    Pass("correlation", decided),
+    Pass("quotients", undivided),
+    Pass("factors", factored),
+    Pass("retiming", retimed),
+    Pass("timetable", timetabled),
+)
+
+
+def optimised(
+    loop: Loop,
+    *,
+    without: Collection[str] = (),
+    seen: Callable[[str, Loop], None] = lambda name, loop: None,
+) -> Loop:
+    """The loop after all passes but those `without`. `seen` gets the name of each and the
+    loop that it leaves: to print it ([`Loop.listing`][]), or to check it."""
+    seen("given", loop)
+    for each in PASSES:
+        if each.name not in without:
+            loop = pruned(each.run(loop))
+            seen(each.name, loop)
+    return loop

@@ -1,0 +1,1 @@
+"""Kernels as they run: machine code, columns of numbers, threads, the host."""
