@@ -1,5 +1,6 @@
 """Checks of arguments at construction: concrete values are refused, tracers pass."""
 
+import operator
 from typing import Any
 
 import jax
@@ -47,6 +48,18 @@ def whole(name: str, x: int) -> None:
     """Refuse an `x` that is not at least one."""
     if x < 1:
         raise ValueError(f"Argument `{name}` must be at least 1, but got {x}.")
+
+
+def counted(name: str, x: Any) -> int:
+    """A whole number, as `int`; anything else is refused, `True` too."""
+    try:
+        if isinstance(x, bool):
+            raise TypeError
+        return operator.index(x)
+    except TypeError:
+        raise ValueError(
+            f"Argument `{name}` must be a whole number, but got {x!r}."
+        ) from None
 
 
 def stable(name: str, A: Float[Array, "k k"]) -> None:

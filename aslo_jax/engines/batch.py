@@ -1,22 +1,21 @@
 """Many experiments at once: one function from a sample of parameters to an experiment, run
 over batches of samples by one of two engines."""
 
-import warnings
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, SupportsIndex
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import PyTree
 
-from .._checks import divides
+from .._checks import counted, divides, whole
 from ..experiment import Experiment, Record
 from ..metrics import AbstractMetric
-from .frontend.lower import NotFusible
 from .fused.batch import Fused
 from .fused.plan import Batch as Batch, Plan
+from .fused.refusal import notice, refusal
+from .samples import arrays, fitted, lanes_of, shape_of
 
 
 class Runner:
@@ -35,7 +34,10 @@ class Runner:
     of a batch without that axis and, in the record, without that of time. Sent to another
     process, it is not traced again, but compiled there.
 
-    **Raises:** as [`run_batch`][].
+    Samples take the types of `like`; real numbers are rounded where those are shorter.
+
+    **Raises:** as [`run_batch`][]; `ValueError` for samples of another structure or shape
+    than `like`, or whole numbers that its types do not hold.
     """
 
     engine: str
@@ -45,25 +47,34 @@ class Runner:
         self,
         make: Callable[[PyTree], Experiment],
         like: PyTree,
-        steps: int,
+        steps: SupportsIndex,
         *,
         metrics: Mapping[str, AbstractMetric] | None = None,
         record: Callable[[Record], PyTree] | None = None,
-        every: int | None = None,
+        every: SupportsIndex | None = None,
         engine: str = "auto",
-        threads: int | None = None,
-        block: int | None = None,
+        threads: SupportsIndex | None = None,
+        block: SupportsIndex | None = None,
     ):
-        every = steps if every is None else every
+        steps = counted("steps", steps)
+        every = steps if every is None else counted("every", every)
         divides(every, steps)
+        if threads is not None:
+            threads = counted("threads", threads)
+            whole("threads", threads)
+        if block is not None:
+            block = counted("block", block)
+            whole("block", block)
         if engine not in ("auto", "fused", "scan"):
             raise ValueError(
                 f'Argument `engine` must be "auto", "fused" or "scan", but got {engine!r}.'
             )
         self.steps, self.every, self.block = steps, every, block
         self._plan = Plan(make, dict(metrics or {}), record)
-        like = jax.tree.map(_shape, like)
-        self._fused = None if engine == "scan" else self._traced(like, threads, engine)
+        self._like = like = jax.tree.map(shape_of, like)
+        self._fused, self._may_scan = None, engine == "auto"
+        if engine != "scan":
+            self._fused = self._traced(threads)
         self.engine = "scan" if self._fused is None else "fused"
         if self._fused is None:
             state, kept = jax.eval_shape(self._plan.first, like)
@@ -75,24 +86,44 @@ class Runner:
         """Without what it was traced from, whose classes may exist in this process only."""
         return vars(self) | ({} if self._fused is None else {"_plan": None})
 
-    def _traced(self, like: PyTree, threads: int | None, engine: str) -> Fused | None:
+    def _traced(self, threads: int | None) -> Fused | None:
+        """With what refuses to be traced refused now, or left to the other engine."""
+        otherwise = self._resort if self._may_scan else None
+        fused = Fused(self._plan, self._like, self.steps, self.every, threads, otherwise)
         try:
-            fused = Fused(self._plan, like, self.steps, self.every, threads)
-            fused.program  # noqa: B018  traced now, and refused now if it cannot be compiled
+            fused.program  # noqa: B018
             return fused
-        except (NotFusible, ImportError) as error:
-            if engine == "fused":
-                raise
-            # Of whoever called what made the runner, `run_batch` for one.
-            warnings.warn(f'Running with engine="scan". {error}', stacklevel=4)
-            return None
+        except Exception as error:
+            failure = error
+        self._check()
+        refused = refusal(failure)
+        if not self._may_scan:
+            raise refused
+        notice(f'Running with engine="scan". {refused}')
+        return None
+
+    def _check(self) -> None:
+        """Raises what the engine `"scan"` would: errors of the experiment itself."""
+        one = lambda s: jax.ShapeDtypeStruct((1, *s.shape), s.dtype)
+        samples = jax.tree.map(one, self._like)
+        eqx.filter_eval_shape(_scanned, self._plan, samples, self.steps, self.every)
 
     def __call__(self, samples: PyTree) -> Batch:
-        samples = jax.tree.map(_array, samples)
-        lanes = _lanes(samples)
+        samples = fitted(arrays(samples), self._like)
         if self._fused is not None:
             return self._fused(samples)
-        if self.block is None:
+        return self._scanned(samples)
+
+    def _resort(self, error: Exception, samples: PyTree) -> Batch:
+        """Of the engine `"scan"`, where the other has failed to compile what it traced."""
+        found = self._scanned(samples)
+        self.engine, self._fused = "scan", None
+        notice(f'Running with engine="scan". {refusal(error)}')
+        return found
+
+    def _scanned(self, samples: PyTree) -> Batch:
+        lanes = lanes_of(samples)
+        if self.block is None or not lanes:
             return _scanned(self._plan, samples, self.steps, self.every)
         return self._in_blocks(samples, lanes, self.block)
 
@@ -116,13 +147,13 @@ class Runner:
 def run_batch(
     make: Callable[[PyTree], Experiment],
     samples: PyTree,
-    steps: int,
+    steps: SupportsIndex,
     *,
     metrics: Mapping[str, AbstractMetric] | None = None,
     record: Callable[[Record], PyTree] | None = None,
-    every: int | None = None,
+    every: SupportsIndex | None = None,
     engine: str = "auto",
-    threads: int | None = None,
+    threads: SupportsIndex | None = None,
 ) -> Batch:
     """Run `make(sample)` for `steps` samples in time, for every sample of a batch. For many
     batches of one kind use a [`Runner`][], which compiles once.
@@ -136,15 +167,19 @@ def run_batch(
       with a warning where the experiment cannot be compiled;
     - `threads`: of the fused engine, by default as many as there are processors.
 
+    Ctrl-C ends a fused run within a fraction of a second; under `jax.jit`, JAX reports it as
+    an error of the callback. The fused engine has forward derivatives (`jax.jvp`, `jax.jacfwd`) of the first order.
+
     The results do not depend on the number of threads. Both engines run the same equations
     on the same random numbers, and agree to rounding.
 
     **Raises:** [`NotFusible`][] where `engine="fused"` meets what it cannot compile;
-    `ValueError` for samples without a common leading axis, or `every` that does not divide
-    `steps`.
+    `ValueError` for samples without a common leading axis, `every` that does not divide
+    `steps`, or what is no whole number; `NotImplementedError` for other derivatives of the
+    fused engine. An experiment's own errors are raised as they are.
     """
-    samples = jax.tree.map(_array, samples)
-    _lanes(samples)
+    samples = arrays(samples)
+    lanes_of(samples)
     like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), samples)
     runner = Runner(
         make,
@@ -157,27 +192,6 @@ def run_batch(
         threads=threads,
     )
     return runner(samples)
-
-
-def _array(x: Any) -> Any:
-    return x if isinstance(x, np.ndarray | jax.Array) else jnp.asarray(x)
-
-
-def _shape(x: Any) -> jax.ShapeDtypeStruct:
-    x = x if isinstance(x, jax.ShapeDtypeStruct) else jnp.asarray(x)
-    # In single precision where JAX is, as the samples will be.
-    dtype = jax.dtypes.canonicalize_dtype(x.dtype, allow_extended_dtype=True)
-    return jax.ShapeDtypeStruct(x.shape, dtype)
-
-
-def _lanes(samples: PyTree) -> int:
-    sizes = {leaf.shape[0] if leaf.ndim else -1 for leaf in jax.tree.leaves(samples)}
-    if len(sizes) != 1 or -1 in sizes:
-        raise ValueError(
-            "Argument `samples` must have one leading axis of common length in every leaf, "
-            f"but got the shapes {[leaf.shape for leaf in jax.tree.leaves(samples)]}."
-        )
-    return sizes.pop()
 
 
 @eqx.filter_jit

@@ -12,8 +12,10 @@ from jaxtyping import PyTree
 
 from ..._checks import is_concrete
 from ..runtime.host import widths
+from .forward_only import forward_only, second
 from .plan import Batch, Plan
 from .program import Bodies, Program
+from .refusal import refusal
 from .tangents import Derivative, is_real, wide
 
 
@@ -21,31 +23,53 @@ class Fused:
     """A batch of one plan, `like` the shapes of one of its samples. Called with samples, it
     runs; under a transformation of JAX it becomes a callback with a derivative of its own,
     in forward mode: one run gives the values and, beside them, the tangents of all
-    directions."""
+    directions.
+
+    `otherwise(error, samples)` runs what fails to compile, None where it is to be raised."""
 
     def __init__(
-        self, plan: Plan, like: PyTree, steps: int, every: int, threads: int | None
+        self,
+        plan: Plan,
+        like: PyTree,
+        steps: int,
+        every: int,
+        threads: int | None,
+        otherwise: Callable[[Exception, PyTree], Batch] | None = None,
     ):
         self.plan, self.steps, self.every, self.threads = plan, steps, every, threads
+        self.otherwise = otherwise
         self.sample, self.tree = jax.tree.flatten(like)
 
     def __getstate__(self) -> dict[str, Any]:
         """What runs; derivatives are for the process where it was made."""
         self.program  # noqa: B018  traced here
-        return vars(self) | {"plan": None}
+        return vars(self) | {"plan": None, "otherwise": None}
 
     def __call__(self, samples: PyTree) -> Batch:
-        leaves = [
-            x if x.dtype == s.dtype else jnp.asarray(x, s.dtype)
-            for x, s in zip(jax.tree.leaves(samples), self.sample, strict=True)
-        ]
+        leaves = jax.tree.leaves(samples)
         if not len(leaves[0]):
             nothing = lambda s: jnp.zeros(s.shape, s.dtype)
             return jax.tree.map(nothing, self._shapes(0))
-        if is_concrete(*leaves):
-            return jax.tree.map(jnp.asarray, self._run(leaves))
-        self.program  # noqa: B018  traced here, since a callback should leave JAX alone
-        return self._transformed(leaves)
+        if not is_concrete(*leaves):
+            self.program  # noqa: B018  traced here: a callback should leave JAX alone
+            return self._transformed(leaves)
+        failure = self._failure()
+        if failure is not None:
+            return self._resort(failure, leaves)
+        return jax.tree.map(jnp.asarray, _checked(self._run(leaves)))
+
+    def _failure(self) -> Exception | None:
+        """Compiles the loop, and returns what that raises."""
+        try:
+            self.program.compile()
+        except Exception as error:
+            return error
+        return None
+
+    def _resort(self, error: Exception, leaves: list[Any]) -> Batch:
+        if self.otherwise is None:
+            raise refusal(error)
+        return self.otherwise(error, self.made(leaves))
 
     def made(self, leaves: list[Any]) -> PyTree:
         return jax.tree.unflatten(self.tree, leaves)
@@ -93,9 +117,22 @@ class Fused:
                 for k, rate in enumerate(rates)
                 if is_real(self.sample[k]) and not isinstance(rate, SymbolicZero)
             ]
-            push = self._pushed(moved)
-            out, tangent = push(leaves, [rates[k][None] for k in moved])
-            return out, _with_integers(out, [x[0] for x in tangent])
+            given = [forward_only(rates[k]) for k in moved]
+            try:
+                push = self._pushed(moved)
+            except Exception as error:
+                if self.otherwise is None:
+                    raise
+                failure = error
+            else:
+                out, tangent = push(leaves, [rate[None] for rate in given])
+                return out, _with_integers(out, [x[0] for x in tangent])
+
+            def resorted(inner):
+                every = dict(enumerate(leaves)) | dict(zip(moved, inner, strict=True))
+                return self._resort(failure, list(every.values()))
+
+            return jax.jvp(resorted, ([leaves[k] for k in moved],), (given,))
 
         run.defjvp(derivative, symbolic_zeros=True)
         return run(leaves)
@@ -105,6 +142,9 @@ class Fused:
 
         @jax.custom_batching.custom_vmap
         def values(leaves):
+            failure = self._failure()
+            if failure is not None:
+                return self._resort(failure, leaves)
             return jax.pure_callback(self._run, self._shapes(len(leaves[0])), leaves)
 
         @values.def_vmap
@@ -122,6 +162,7 @@ class Fused:
         Further axes are more lanes, or more directions where only the tangents have them:
         the results do not have them either then."""
         push = Derivative(self.plan, self.made, self.sample, self.program, moved)
+        push.program(1, widths())  # what cannot be compiled is refused here
 
         def run(leaves, rates):
             directions = len(rates[0])
@@ -134,6 +175,7 @@ class Fused:
             kept = (np.moveaxis(x, 2, 0) for x in record_rates)
             return Batch(final, record), [*rates, *kept]
 
+        @jax.custom_jvp
         @jax.custom_batching.custom_vmap
         def pushed(leaves, rates):
             shapes = self._shapes(len(leaves[0]))
@@ -142,7 +184,7 @@ class Fused:
                 run, (shapes, wide(real, len(rates[0]))), leaves, rates
             )
 
-        @pushed.def_vmap
+        @pushed.fun.def_vmap
         def batched(size, axes, leaves, rates):
             lanes = any(axes[0])
             if lanes:
@@ -156,7 +198,21 @@ class Fused:
                 [True] * len(tangent),
             )
 
+        pushed.defjvp(second)
         return pushed
+
+
+def _checked(batch: Batch) -> Batch:
+    """Refuses results, as `jax.jit` does, under JAX's `debug_nans` and `debug_infs`."""
+    for name, bad in (("nan", np.isnan), ("inf", np.isinf)):
+        if not getattr(jax.config, f"jax_debug_{name}s"):
+            continue
+        for leaf in jax.tree.leaves(batch):
+            if is_real(leaf) and bad(leaf).any():
+                raise FloatingPointError(
+                    f"invalid value ({name}) encountered in a result of the fused engine"
+                )
+    return batch
 
 
 def _more(arrays: list[Any], batched: list[bool], size: int, axis: int) -> list[Any]:

@@ -1,6 +1,7 @@
-"""A loop over time, traced, compiled, and run over lanes by a pool of threads."""
+"""A loop over time, traced, compiled, and run over lanes by several threads."""
 
 import functools
+import os
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -21,6 +22,13 @@ from ..runtime.kernel import Kernel
 KINDS = ("shared", "lane", "log", "lane log")
 # Of several threads one rewrites and compiles, and the others wait.
 _COMPILING = threading.RLock()
+if hasattr(os, "register_at_fork"):
+    # Nor is the process forked meanwhile: the child would wait for a thread it has not.
+    os.register_at_fork(
+        before=_COMPILING.acquire,
+        after_in_parent=_COMPILING.release,
+        after_in_child=_COMPILING.release,
+    )
 
 
 class Bodies(NamedTuple):
@@ -130,6 +138,11 @@ class Program:
             None if along is None else step(along, 1),
         )
 
+    def compile(self) -> None:
+        """Now, where this has not been done."""
+        with _COMPILING:
+            self._kernels  # noqa: B018
+
     @functools.cached_property
     def _step(self) -> Step:
         return chosen(self.loop, self.widths, register())
@@ -183,8 +196,8 @@ class Program:
     ) -> tuple[PyTree, PyTree]:
         """The records and what is final, NumPy arrays with a leading axis of `lanes`;
         records have a second one of `steps // every`, and one more for the first."""
-        with _COMPILING:
-            kernel, *_ = self._kernels
+        self.compile()
+        kernel, *_ = self._kernels
         padded = -(-lanes // self.width) * self.width
         columns: dict[Any, np.ndarray] = {}
         for kind, tree in inputs.items():

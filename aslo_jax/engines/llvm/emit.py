@@ -22,10 +22,11 @@ from .writer import SHIFTS
 
 def emit(step: Step) -> str:
     """The text of a kernel whose loop has that step: `void kernel(i64 first, i64 last, i64
-    lanes, i64 steps, i64 every, ptr table)`.
+    lanes, ptr steps, i64 every, ptr table)`.
 
     It runs the lanes first to last - 1 of `lanes`, all three multiples of the step's width,
-    through `steps` steps. `table` holds one pointer for each of the loop's slots.
+    through `*steps` steps, read anew before each of them: a negative number that another
+    thread writes there ends the run. `table` holds one pointer for each of the loop's slots.
     """
     return _Kernel(step).text()
 
@@ -85,9 +86,7 @@ class _Kernel:
         self._advance()
         self._record()
         self._finish()
-        arguments = ", ".join(
-            f"i64 %{a}" for a in ("first", "last", "lanes", "steps", "every")
-        )
+        arguments = "i64 %first, i64 %last, i64 %lanes, ptr %limit, i64 %every"
         wide = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
         return "\n".join(
             [
@@ -128,7 +127,10 @@ class _Kernel:
         """For each block of lanes: its first state, and what varies over lanes only."""
         self.out.label("block")
         self.out.line("%lane = phi i64 [ %first, %entry ], [ %next_lane, %finish ]")
-        self.out.line("%begun = icmp slt i64 %lane, %last")
+        self.out.line("%asked = load volatile i64, ptr %limit")
+        self.out.line("%wanted = icmp sge i64 %asked, 0")
+        self.out.line("%within = icmp slt i64 %lane, %last")
+        self.out.line("%begun = and i1 %wanted, %within")
         self.out.line("br i1 %begun, label %begin, label %done")
         self.out.label("begin")
         for slot, number in self.inputs.items():
@@ -165,6 +167,7 @@ class _Kernel:
         self.out.line(f"%saved = phi i64 [ {rows}, %begin ], [ %next_saved, %advanced ]")
         self.out.line("%now = phi i64 [ 0, %begin ], [ %next, %advanced ]")
         self.out.line(f"%next = sub i64 {self.layout.half}, %now")
+        self.out.line("%steps = load volatile i64, ptr %limit")
         self.out.line("%running = icmp slt i64 %k, %steps")
         self.out.line("br i1 %running, label %advance, label %finish")
         self.out.label("advance")

@@ -1,11 +1,9 @@
 """What depends on the host: its processors, its vector registers, its machine code."""
 
-import collections
 import ctypes
 import functools
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from ..._extras import require
@@ -16,35 +14,6 @@ def available_threads() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-@functools.cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, thread_name_prefix="aslo_jax")
-
-
-def run_in_threads(
-    work: Callable[[tuple[int, int]], None],
-    spans: list[tuple[int, int]],
-    threads: int,
-) -> None:
-    """`work` on every span, by this thread and others, each of which takes one after the
-    other; the kernel releases the interpreter's lock."""
-    left = collections.deque(spans)
-
-    def take() -> None:
-        while left:
-            try:
-                span = left.popleft()
-            except IndexError:  # another thread was faster
-                return
-            work(span)
-
-    others = min(threads, len(spans)) - 1
-    started = [_pool(threads).submit(take) for _ in range(others)]
-    take()
-    for other in started:
-        other.result()
 
 
 def widths() -> tuple[int, ...]:
@@ -70,7 +39,13 @@ def machine_target() -> Any:
     return llvm.Target.from_default_triple()
 
 
-_SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 5, ctypes.c_void_p)
+_SIGNATURE = ctypes.CFUNCTYPE(
+    None,
+    *[ctypes.c_int64] * 3,
+    ctypes.c_void_p,
+    ctypes.c_int64,
+    ctypes.c_void_p,
+)
 
 
 @functools.lru_cache(maxsize=128)

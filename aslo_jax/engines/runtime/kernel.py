@@ -7,12 +7,19 @@ import numpy as np
 
 from ..backend.step import Step
 from ..llvm.emit import emit
-from .host import compiled, run_in_threads
+from .host import compiled
+from .threads import Run, Span
+
+# Seconds of an instruction on a register, and far more than most take.
+SLOW = 1e-8
+# By that measure: what is not worth another thread, and how long a signal may wait.
+SMALL, BRIEF = 1e-3, 5e-2
 
 
 class Kernel:
     def __init__(self, step: Step):
         self.loop, self.width = step.body.loop, step.width
+        self._once, self._each = len(self.loop.needed()), len(step.events)
         self._function = compiled(emit(step))
 
     def __call__(
@@ -31,12 +38,16 @@ class Kernel:
         )
         address = ctypes.addressof(table)
 
-        def work(span: tuple[int, int]) -> None:
-            self._function(*span, lanes, steps, every, address)
+        # The machine code has their addresses only: whoever may still run it keeps them.
+        def work(span: Span, limit: int, _held: Any = (table, columns)) -> None:
+            self._function(*span, lanes, limit, every, address)
 
-        run_in_threads(work, self._spans(lanes, threads), threads)
+        most = lanes // self.width * (self._once + steps * self._each) * SLOW
+        threads = max(min(threads, int(most / SMALL)), 1)
+        run = Run(work, self._spans(lanes, threads), steps)
+        run.by(threads, brief=most < BRIEF)
 
-    def _spans(self, lanes: int, threads: int) -> list[tuple[int, int]]:
+    def _spans(self, lanes: int, threads: int) -> list[Span]:
         """Pieces for the threads, the last ones small, so that none waits long for
         another."""
         blocks, first, found = lanes // self.width, 0, []
