@@ -167,8 +167,9 @@ def run_batch(
       with a warning where the experiment cannot be compiled;
     - `threads`: of the fused engine, by default as many as there are processors.
 
-    Ctrl-C ends a fused run within a fraction of a second; under `jax.jit`, JAX reports it as
-    an error of the callback. The fused engine has forward derivatives (`jax.jvp`, `jax.jacfwd`) of the first order.
+    Ctrl-C ends a fused run within a fraction of a second; under `jax.jit`, JAX reports it
+    as an error of the callback. Derivatives of the fused engine are forward ones of the
+    first order (`jax.jvp`, `jax.jacfwd`).
 
     The results do not depend on the number of threads. Both engines run the same equations
     on the same random numbers, and agree to rounding.

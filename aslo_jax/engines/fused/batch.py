@@ -25,7 +25,7 @@ class Fused:
     in forward mode: one run gives the values and, beside them, the tangents of all
     directions.
 
-    `otherwise(error, samples)` runs what fails to compile, None where it is to be raised."""
+    `otherwise(error, samples)` runs what fails to compile; None: it is raised."""
 
     def __init__(
         self,

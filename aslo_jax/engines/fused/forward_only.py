@@ -24,7 +24,7 @@ def forward_only(rate: Any) -> Any:
 
 
 def _evaluated(trace: Any, rate: Any) -> Any:
-    """Where a function is split into what is known and what follows from unknown tangents."""
+    """Where a function is split into what is known and what follows from tangents."""
     if rate.is_known():
         return _rate.bind(rate.pval.get_known())
     raise NotImplementedError(REVERSE)

@@ -26,7 +26,8 @@ def emit(step: Step) -> str:
 
     It runs the lanes first to last - 1 of `lanes`, all three multiples of the step's width,
     through `*steps` steps, read anew before each of them: a negative number that another
-    thread writes there ends the run. `table` holds one pointer for each of the loop's slots.
+    thread writes there ends the run. `table` holds one pointer for each of the loop's
+    slots.
     """
     return _Kernel(step).text()
 
