@@ -113,8 +113,8 @@ def _fitted(path: Any, x: Any, s: jax.ShapeDtypeStruct) -> Any:
 
 def _exact(path: Any, x: np.ndarray, converted: np.ndarray) -> None:
     with np.errstate(invalid="ignore"):
-        back = converted.real.astype(x.dtype)
-    same = (back == x) & ((converted.real < 0) == (x < 0))
+        back = np.real(converted).astype(x.dtype)
+    same = (back == x) & ((np.real(converted) < 0) == (x < 0))
     if not same.all():
         raise ValueError(
             f"Argument {_where(path)} must hold numbers that the type {converted.dtype} of "

@@ -175,16 +175,15 @@ class Fused:
             kept = (np.moveaxis(x, 2, 0) for x in record_rates)
             return Batch(final, record), [*rates, *kept]
 
-        @jax.custom_jvp
         @jax.custom_batching.custom_vmap
-        def pushed(leaves, rates):
+        def beside(leaves, rates):
             shapes = self._shapes(len(leaves[0]))
             real = [s for s in jax.tree.leaves(shapes) if is_real(s)]
             return jax.pure_callback(
                 run, (shapes, wide(real, len(rates[0]))), leaves, rates
             )
 
-        @pushed.fun.def_vmap
+        @beside.def_vmap
         def batched(size, axes, leaves, rates):
             lanes = any(axes[0])
             if lanes:
@@ -198,6 +197,7 @@ class Fused:
                 [True] * len(tangent),
             )
 
+        pushed = jax.custom_jvp(beside)
         pushed.defjvp(second)
         return pushed
 
