@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from aslo_jax.engines.frontend.lower import flatten
+from aslo_jax.engines.frontend.lower import NotFusible, flatten
 from aslo_jax.engines.frontend.structural import known
 from aslo_jax.engines.fused.program import Bodies, Program
 from aslo_jax.engines.ir.graph import Graph
@@ -192,3 +192,54 @@ def test_remainders_of_huge_quotients_are_exact_or_in_range():
     np.testing.assert_array_equal(found[exact], expected[0][exact])
     np.testing.assert_array_equal(modulus[exact], expected[1][exact])
     assert (found[[3, 4]] == 0.0).all() and np.isnan(found[5])
+
+
+HALVES = ["float16", "bfloat16", "complex64", "complex128", "int4", "float8_e4m3fn"]
+
+
+@pytest.mark.parametrize("kind", HALVES)
+def test_other_types_are_refused_by_name_where_they_are_used(kind):
+    def function(x):
+        return jnp.real(x.astype(kind) * 2).astype(x.dtype)
+
+    with pytest.raises(NotFusible, match=rf"test_numbers\.py:\d+.* type {kind}"):
+        stepped(function, np.ones(3))
+    # Of constants they are what JAX makes of them.
+    same(stepped(lambda x: x + function(jnp.ones(())), np.ones(3)), np.full(3, 3.0))
+
+
+def carrying(value):
+    """A loop whose state holds a value."""
+    bodies = Bodies(
+        lambda inputs: (value(), None),
+        lambda k, carry, inputs: (carry, None),
+        lambda carry, inputs: (),
+    )
+    return Program.of(bodies, {"lane": jax.ShapeDtypeStruct((), np.float64)}, (8,))
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"),
+    [
+        (lambda: jnp.zeros((), jnp.float16), "float16"),
+        (lambda: jnp.zeros((), jnp.bfloat16), "bfloat16"),
+        (lambda: jnp.zeros((), complex), "complex128"),
+        (lambda: jax.random.key(0), "key<fry>"),
+    ],
+)
+def test_other_types_are_refused_in_a_state(value, kind):
+    with pytest.raises(NotFusible, match=rf"type {kind}, as the state of the loop has"):
+        carrying(value)
+
+
+def test_other_types_are_refused_in_samples_results_and_what_is_closed_over():
+    x = np.ones(3)
+    with pytest.raises(NotFusible, match="type float16, as the samples or the logs have"):
+        stepped(lambda x: x, x.astype(np.float16))
+    with pytest.raises(NotFusible, match="type bfloat16, as a result has"):
+        stepped(lambda x: jnp.zeros((), jnp.bfloat16), x)
+    key = jax.random.key(0)
+    with pytest.raises(NotFusible, match="type key<fry>"):
+        stepped(lambda x: x + jax.random.uniform(key), x)
+    with pytest.raises(NotFusible, match="leaves 8 bits of the exponent and 7 of the"):
+        stepped(lambda x: jax.lax.reduce_precision(x, 8, 7), x)
