@@ -309,3 +309,17 @@ def test_entries_that_are_one_or_scaled_are_recorded_as_they_were():
         record=lambda carry: (carry[2], carry[0], carry[1] - carry[2]),
     )
     assert len(made.raw.carry) == 3 and len(made.loop.carry) == 2
+
+
+def test_factors_of_a_lane_do_not_meet_out_of_range():
+    """Three charges over 0.1 pF in float32, where 1/C^3 is infinite."""
+    charge = np.array([1e-13, 2e-13, 1e-14], np.float32)
+    elastance = np.array([1e13, 1e13, 5e13], np.float32)
+
+    def advance(k, carry, x):
+        a, b, c, _ = carry
+        product = (x[1] * a) * (x[1] * b) * (x[1] * c)
+        return b, c, np.float32(0.5) * a, product
+
+    begin = lambda x: (x[0], 2 * x[0], 3 * x[0], jnp.zeros_like(x[0]))
+    check(begin, advance, lambda carry: carry, x=(charge, elastance), rtol=1e-5)
