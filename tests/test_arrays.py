@@ -1,0 +1,193 @@
+"""Indices, sorting, running sums, interpolation and small factorisations as JAX has them."""
+
+import jax
+import jax.numpy as jnp
+import jax.scipy as jsp
+import numpy as np
+import pytest
+
+from aslo_jax.engines.fused.program import Bodies, Program
+
+pytest.importorskip("llvmlite")
+RNG = np.random.default_rng(5)
+
+
+def fused(functions, inputs):
+    """What functions of one lane give for every lane, all in one kernel."""
+    kinds = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), inputs)
+    bodies = Bodies(
+        lambda given: ((), None),
+        lambda k, carry, given: ((), None),
+        lambda carry, given: {n: f(*given["lane"]) for n, f in functions.items()},
+    )
+    program = Program.of(bodies, {"lane": kinds}, (8,))
+    return program({"lane": inputs}, len(jax.tree.leaves(inputs)[0]), 1)[1]
+
+
+def check(functions, inputs, rtol=2e-14, one_by_one=False):
+    found = fused(functions, inputs)
+    for name, function in functions.items():
+        if one_by_one:
+            lanes = range(len(jax.tree.leaves(inputs)[0]))
+            rows = [function(*(jnp.asarray(x[k]) for x in inputs)) for k in lanes]
+            expected = jax.tree.map(lambda *row: np.stack(row), *rows)
+        else:
+            expected = jax.jit(jax.vmap(function))(*inputs)
+        pairs = zip(*map(jax.tree.leaves, (found[name], expected)), strict=True)
+        for a, b in pairs:
+            assert a.shape == b.shape and a.dtype == b.dtype, name
+            scale = np.max(np.abs(b), where=np.isfinite(b), initial=1.0)
+            np.testing.assert_allclose(a, b, rtol, rtol * scale, err_msg=name)
+
+
+M = RNG.normal(size=(3, 4))
+PLACES = np.array(
+    [[0, 0], [1, 3], [5, 1], [5, 9], [-1, 2], [2, -2], [-7, 2], [1, -9], [-8, 40], [2, 4]]
+)
+VECTORS = RNG.normal(size=(len(PLACES), 4))
+LOG = RNG.normal(size=(9, 20))
+WORDS = RNG.integers(-9, 9, (3, 4))
+
+READS = {
+    "two axes": lambda x, p: (M * x)[p[0], p[1]],
+    "slice of two axes": lambda x, p: jax.lax.dynamic_slice(M * x, (p[0], p[1]), (1, 2)),
+    "small index": lambda x, p: jax.lax.dynamic_slice(
+        jnp.cumsum(jnp.tile(x, 50)), (p[0].astype(jnp.int8),), (2,)
+    ),
+    "row": lambda x, p: (M * x)[p[0]],
+    "column": lambda x, p: (M * x)[:, p[1]],
+    "vector": lambda x, p: x[p],
+    "rows": lambda x, p: (M * x)[p],
+    "pairs": lambda x, p: (M * x)[p, p[::-1]],
+    "outer": lambda x, p: (M * x)[p[:, None], p[None, :]],
+    "filled": lambda x, p: x.at[p].get(mode="fill"),
+    "filled with": lambda x, p: (M * x).at[p[0]].get(mode="fill", fill_value=7.0),
+    "filled whole": lambda x, p: (WORDS + p[0]).at[:, p[1]].get(mode="fill"),
+    "filled flags": lambda x, p: (x > 0).at[p].get(mode="fill"),
+    "clipped": lambda x, p: x.at[p].get(mode="clip"),
+    "promised": lambda x, p: x.at[p].get(mode="promise_in_bounds"),
+    "take": lambda x, p: (jnp.take(x, p), jnp.take(M * x, p, 1, mode="wrap")),
+    "take along": lambda x, p: jnp.take_along_axis(M * x, p[None, :] + 0 * WORDS[:, :1], 1),
+    "choose": lambda x, p: jnp.choose(p, [x[:2], x[1:3], x[2:]], mode="clip"),
+    "roll": lambda x, p: (jnp.roll(x, p[0]), jnp.roll(M * x, p[0], 1)),
+    "flip": lambda x, p: jnp.flip(x)[p[0]],
+    "select_n": lambda x, p: jax.lax.select_n(jnp.clip(p[0], 0, 2), x, 2 * x, -x),
+    "mapped": lambda x, p: jax.vmap(lambda row, k: row[k])((M * x)[:2], p),
+    "table": lambda x, p: (jnp.asarray(LOG)[p[0], p[1]], jnp.asarray(LOG)[p[0], 3:5]),
+    "switch": lambda x, p: jax.lax.switch(p[0], [jnp.sin, jnp.cos, jnp.exp], x),
+    "unravel": lambda x, p: jnp.stack(jnp.unravel_index(p[0] % 12, (3, 4))),
+}
+WRITES = {
+    "set": lambda x, p: x.at[p[0]].set(9.0),
+    "set both": lambda x, p: x.at[p].set(jnp.array([8.0, 9.0])),
+    "set row": lambda x, p: (M * x).at[p[0]].set(x),
+    "set entry": lambda x, p: (M * x).at[p[0], p[1]].set(5.0),
+    "add": lambda x, p: x.at[p].add(x[:2]),
+    "add twice": lambda x, p: x.at[jnp.stack([p[0], p[0], 1])].add(x[:3]),
+    "multiply": lambda x, p: x.at[p].multiply(3.0),
+    "least": lambda x, p: x.at[p].min(-0.5),
+    "largest": lambda x, p: (M * x).at[:, p[1]].max(0.5),
+    "apply": lambda x, p: x.at[p[0]].apply(jnp.sin),
+    "clipped": lambda x, p: x.at[p].add(1.0, mode="clip"),
+    "dropped": lambda x, p: x.at[p].set(1.0, mode="drop"),
+    "slice": lambda x, p: jax.lax.dynamic_update_slice(
+        M * x, jnp.outer(x[:2], x[:2]), (p[0], p[1])
+    ),
+    "mapped": lambda x, p: jax.vmap(lambda row, k: row.at[k].set(4.0))((M * x)[:2], p),
+    "counted": lambda x, p: jnp.bincount(p % 4, length=4),
+}
+
+
+def test_reads_at_indices_that_vary():
+    check(READS, (VECTORS, PLACES))
+
+
+def test_writes_at_indices_that_vary():
+    check(WRITES, (VECTORS, PLACES))
+
+
+ODD = np.array(
+    [
+        [0.3, -1.2, 2.0, 0.7, -0.1],
+        [2.0, 1.0, 2.0, 1.0, 1.0],
+        [np.nan, 1.0, -np.inf, 3.0, np.inf],
+        [1.0, np.nan, 0.5, np.nan, 4.0],
+        [np.inf, np.inf, -np.inf, 0.0, -np.inf],
+        [-3.0, -2.0, 0.0, 5.0, 6.0],
+    ]
+)
+WHOLE = np.array([[3, 1, 2], [1, 1, 0], [-5, 7, -5], [0, 0, 0], [2, 9, 9], [-1, -2, -3]])
+XP = np.array([-2.0, -0.5, 0.5, 0.5, 3.0])
+FP = np.array([1.0, -2.0, 4.0, 0.5, 7.0])
+
+
+def running(name, axis=0, reverse=False):
+    return lambda x, n: getattr(jax.lax, name)(x, axis, reverse)
+
+
+def places(x, v, method):
+    sides = (jnp.searchsorted(x, v, side, method=method) for side in ("left", "right"))
+    return jnp.stack([*sides])
+
+
+ORDERED = {
+    "sort": lambda x, n: (jnp.sort(x), jnp.sort(n), jnp.sort(x, descending=True)),
+    "matrix": lambda x, n: jnp.sort(jnp.stack([x, x[::-1], -x]), axis=0),
+    "long": lambda x, n: jnp.sort(jnp.concatenate([x, 2 * x, -x, x + 0.1])),
+    "argsort": lambda x, n: (jnp.argsort(x), jnp.argsort(n), jnp.argsort(-n)),
+    "lexsort": lambda x, n: jnp.lexsort((x[:3], n)),
+    "several": lambda x, n: jax.lax.sort((n, x[:3], x[1:4]), num_keys=2),
+    "median": lambda x, n: (jnp.median(x), jnp.nanmedian(x), jnp.median(x[:4])),
+    "percentile": lambda x, n: jnp.percentile(x, jnp.array([0.0, 33.0, 100.0])),
+    "top": lambda x, n: jax.lax.top_k(n, 2),
+    "flags": lambda x, n: (jnp.sort(x > 0.5), jnp.argmax(x > 0.5), jnp.argmin(x < 1)),
+    "places": lambda x, n: (jnp.argmax(x), jnp.argmin(x), jnp.argmax(n), jnp.argmin(n)),
+    "interp": lambda x, n: jnp.interp(x, XP, FP),
+    "interp of": lambda x, n: jnp.interp(0.4, XP + n[0], FP * n[1], left=3.0),
+    "searched": lambda x, n: places(jnp.asarray(XP), x, "scan"),
+    "unrolled": lambda x, n: places(jnp.asarray(XP), x, "scan_unrolled"),
+    "by sort": lambda x, n: places(jnp.asarray(XP), x, "sort"),
+    "compared": lambda x, n: places(XP + n[0], x, "compare_all"),
+    "digitize": lambda x, n: (jnp.digitize(x, XP), jnp.digitize(x, XP[::-1], right=True)),
+    "piecewise": lambda x, n: jnp.piecewise(
+        x, [x < 0, x > 1], [jnp.sin, lambda y: y**2, 0.5]
+    ),
+    "where": lambda x, n: jnp.where(x > 0, x, -1.0),
+    "histogram": lambda x, n: jnp.histogram(n, bins=3, range=(-4.0, 8.0))[0],
+}
+RUNNING = {
+    "cumsum of numbers": lambda x, n: jnp.cumsum(jnp.stack([x[0], x[1]])),
+    **{
+        f"{name} {reverse}": running(name, reverse=reverse)
+        for name in ("cumsum", "cumprod", "cummax", "cummin", "cumlogsumexp")
+        for reverse in (False, True)
+    },
+    "along": lambda x, n: jax.lax.cumsum(jnp.outer(x, jnp.ones(2)), 1, reverse=True),
+    "cube": lambda x, n: jax.lax.cumprod(x[:4].reshape(1, 2, 2), 2),
+    "whole": lambda x, n: (jnp.cumsum(n), jnp.cumprod(n), jax.lax.cummax(n)),
+    "extremes": lambda x, n: (x.max(), x.min(), n.max(), n.min(), jnp.ptp(n)),
+    "none": lambda x, n: (jnp.max(x[:0], initial=-1.0), jnp.sum(x[:0]), jnp.prod(n[:0])),
+    "bits": lambda x, n: (
+        jnp.bitwise_xor.reduce(n),
+        jnp.bitwise_and.reduce(n),
+        jnp.bitwise_or.reduce(n),
+    ),
+    "reduced": lambda x, n: jax.lax.reduce(
+        n, 3, lambda a, b: jnp.minimum(jnp.abs(a), jnp.abs(b)), (0,)
+    ),
+    "windows": lambda x, n: (
+        jax.lax.reduce_window(x, -jnp.inf, jax.lax.max, (2,), (1,), "SAME"),
+        jax.lax.reduce_window(n, 0, jax.lax.add, (2,), (2,), "VALID"),
+    ),
+    "convolve": lambda x, n: jnp.convolve(n.astype(float), jnp.array([1.0, 2.0, -0.5])),
+    "correlate": lambda x, n: jnp.correlate(n * 1.0, jnp.array([1.0, 2.0]), "same"),
+    "differences": lambda x, n: (jnp.diff(n), jnp.gradient(n * 1.0), jnp.trapezoid(n)),
+}
+
+
+def test_order():
+    check(ORDERED, (ODD, WHOLE))
+
+
+def test_running_and_reduced():
+    check(RUNNING, (ODD, WHOLE))
