@@ -1,4 +1,4 @@
-"""Indices, sorting, running sums, interpolation and small factorisations as JAX has them."""
+"""Indices, sorting, running sums, interpolation and factorisations as JAX has them."""
 
 import jax
 import jax.numpy as jnp
@@ -24,20 +24,19 @@ def fused(functions, inputs):
     return program({"lane": inputs}, len(jax.tree.leaves(inputs)[0]), 1)[1]
 
 
-def check(functions, inputs, rtol=2e-14, one_by_one=False):
+def check(functions, inputs, rtol=2e-14):
+    """Right to `rtol` of the largest finite entry; both are returned, by name."""
     found = fused(functions, inputs)
-    for name, function in functions.items():
-        if one_by_one:
-            lanes = range(len(jax.tree.leaves(inputs)[0]))
-            rows = [function(*(jnp.asarray(x[k]) for x in inputs)) for k in lanes]
-            expected = jax.tree.map(lambda *row: np.stack(row), *rows)
-        else:
-            expected = jax.jit(jax.vmap(function))(*inputs)
-        pairs = zip(*map(jax.tree.leaves, (found[name], expected)), strict=True)
+    expected = jax.jit(
+        lambda *inputs: {n: jax.vmap(f)(*inputs) for n, f in functions.items()}
+    )(*inputs)
+    for name in functions:
+        pairs = zip(*map(jax.tree.leaves, (found[name], expected[name])), strict=True)
         for a, b in pairs:
             assert a.shape == b.shape and a.dtype == b.dtype, name
             scale = np.max(np.abs(b), where=np.isfinite(b), initial=1.0)
             np.testing.assert_allclose(a, b, rtol, rtol * scale, err_msg=name)
+    return {name: (found[name], expected[name]) for name in functions}
 
 
 M = RNG.normal(size=(3, 4))
@@ -191,3 +190,96 @@ def test_order():
 
 def test_running_and_reduced():
     check(RUNNING, (ODD, WHOLE))
+
+
+def systems(n, count=8):
+    """Matrices of every kind: with a zero in front, nearly singular, badly scaled."""
+    A = RNG.normal(size=(count, n, n))
+    A[0, 0, 0] = 0.0
+    A[1] = np.eye(n)[::-1] + 1e-3 * A[1]
+    A[2, 0] = 1e-9 * A[2, 0]
+    if n > 1:
+        A[3, 1] = A[3, 0] + 1e-6 * A[3, 1]
+        A[4, :, 0] *= 1e6
+    return A
+
+
+def lower(A):
+    return jnp.tril(A) + 4 * jnp.eye(len(A))
+
+
+def gram(A):
+    """A positive definite matrix of moderate condition."""
+    return A @ A.T / (A**2).sum() + jnp.eye(len(A))
+
+
+LINEAR = {
+    "solve": lambda A, b: jnp.linalg.solve(A, b),
+    "solve many": lambda A, b: jnp.linalg.solve(A, jnp.outer(b, b[:2])),
+    "inverse": lambda A, b: jnp.linalg.inv(A),
+    "det": lambda A, b: jnp.linalg.det(A),
+    "slogdet": lambda A, b: tuple(jnp.linalg.slogdet(A)),
+    "lu": lambda A, b: jsp.linalg.lu(A),
+    "wide lu": lambda A, b: jsp.linalg.lu(A[:2]),
+    "lu solve": lambda A, b: jsp.linalg.lu_solve(jsp.linalg.lu_factor(A), b, trans=1),
+    "cholesky": lambda A, b: jnp.linalg.cholesky(gram(A)),
+    "upper": lambda A, b: jnp.linalg.cholesky(gram(A), upper=True),
+    "not definite": lambda A, b: jnp.linalg.cholesky(A + A.T),
+    "triangular": lambda A, b: (
+        jsp.linalg.solve_triangular(lower(A), b, lower=True),
+        jsp.linalg.solve_triangular(lower(A), b, lower=True, trans=1),
+        jsp.linalg.solve_triangular(lower(A).T, b, unit_diagonal=True),
+    ),
+    "cho_solve": lambda A, b: jsp.linalg.cho_solve((lower(A), True), b),
+    "positive": lambda A, b: jsp.linalg.solve(gram(A), b, assume_a="pos"),
+    "power": lambda A, b: jnp.linalg.matrix_power(A, 3),
+    "mapped": lambda A, b: jax.vmap(jnp.linalg.solve)(
+        jnp.stack([A, A.T]), jnp.stack([b, -b])
+    ),
+    "derivative": lambda A, b: (
+        jax.jvp(jnp.linalg.solve, (lower(A), b), (A, b))[1],
+        jax.jvp(jnp.linalg.inv, (lower(A),), (A,))[1],
+        jax.jvp(jnp.linalg.det, (lower(A),), (A,))[1],
+        jax.jvp(lambda L: jnp.linalg.slogdet(L)[1], (lower(A),), (A,))[1],
+        jax.jvp(jnp.linalg.cholesky, (gram(A),), (A + A.T,))[1],
+    ),
+    "gradient": lambda A, b: jax.grad(lambda L: jnp.linalg.solve(L, b)[0])(lower(A)),
+}
+
+
+def test_linear_algebra():
+    """Nearly singular ones, of condition 1e6 to 1e9, lose as many digits in LAPACK."""
+    A, b = systems(3), RNG.normal(size=(8, 3))
+    found = check(LINEAR, (A, b), rtol=1e-9)
+    for name, tree in found.items():
+        for a, b in zip(*map(jax.tree.leaves, tree), strict=True):
+            np.testing.assert_allclose(a[5:], b[5:], 1e-12, 1e-12, err_msg=name)
+
+
+def test_systems_of_one_row():
+    names = ("solve", "inverse", "det", "slogdet", "cholesky", "triangular")
+    inputs = systems(1), RNG.normal(size=(8, 1))
+    check({name: LINEAR[name] for name in names}, inputs, rtol=1e-12)
+
+
+def test_the_largest_systems():
+    """Of six rows; permutations of them exactly."""
+    A, b = systems(6), RNG.normal(size=(8, 6))
+    shuffled = np.stack([np.eye(6)[RNG.permutation(6)] * (k + 1.0) for k in range(8)])
+    functions = {k: LINEAR[k] for k in ("solve", "det", "lu")}
+    check(functions, (A[5:], b[5:]), rtol=1e-12)
+    check(functions, (shuffled, b), rtol=1e-15)
+
+
+def test_singular_matrices():
+    """What LAPACK gives: a determinant of zero, and no solution."""
+    A = np.stack([np.ones((4, 4)), np.zeros((4, 4)), np.arange(16.0).reshape(4, 4)])
+    A[2, 2:] = A[2, :2]
+    functions = {
+        "det": jnp.linalg.det,
+        "slogdet": lambda A: tuple(jnp.linalg.slogdet(A)),
+        "definite": jnp.linalg.cholesky,
+    }
+    check(functions, (A,), rtol=1e-12)
+    found = fused({"x": lambda A: jnp.linalg.solve(A, jnp.ones(4))}, (A[:2],))["x"]
+    assert not np.isfinite(found).all(axis=1).any()
