@@ -103,7 +103,7 @@ def solve_rows(
     return x, jnp.where(regular, n / (m * trace), 0.0)
 
 
-DOUBLINGS = 32  # the most of an exponential
+DOUBLINGS = 20  # the most of an exponential
 TERMS = 18  # of its series, the first omitted one below 1e-17
 
 
@@ -113,7 +113,8 @@ def exponential_integrals(
     """`exp Z`, `phi1(Z) = (exp Z - 1)/Z` and `phi2(Z) = (phi1(Z) - 1)/Z`, as power series.
 
     Of `Z/2^s`, whose size is one at most, then doubled s times: products only, where the
-    usual exponential solves systems of equations. Not a number where `s` would exceed 32.
+    usual exponential solves systems of equations. Not a number for sizes above 1e6, for
+    which s would exceed 20.
     """
     one = jnp.eye(Z.shape[0], dtype=Z.dtype)
     size = jax.lax.stop_gradient(jnp.max(jnp.sum(jnp.abs(Z), axis=1)))

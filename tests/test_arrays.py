@@ -1,12 +1,16 @@
 """Indices, sorting, running sums, interpolation and factorisations as JAX has them."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.scipy as jsp
 import numpy as np
 import pytest
 
+import aslo_jax as aslo
+from aslo_jax.engines import NotFusible, run_batch
 from aslo_jax.engines.fused.program import Bodies, Program
+from aslo_jax.filters import second_order
 
 pytest.importorskip("llvmlite")
 RNG = np.random.default_rng(5)
@@ -283,3 +287,76 @@ def test_singular_matrices():
     check(functions, (A,), rtol=1e-12)
     found = fused({"x": lambda A: jnp.linalg.solve(A, jnp.ones(4))}, (A[:2],))["x"]
     assert not np.isfinite(found).all(axis=1).any()
+
+
+class Coil(aslo.plants.AbstractPlant):
+    """A coil and a capacitor, whose voltage is measured: `i' = u - v - R i`, `v' = i`."""
+
+    resistance: jax.Array
+
+    def initial(self):
+        return jnp.array([0.5, 3.0])
+
+    def vector_field(self, t, x, u):
+        return jnp.stack([u - x[1] - self.resistance * x[0], x[0]])
+
+    def output(self, x):
+        return x[1]
+
+    def hidden(self, x):
+        return x[:1]
+
+
+class Current(eqx.Module):
+    plant: Coil
+
+    def __call__(self, u, y):
+        rate = -self.plant.resistance[None, None]
+        return aslo.Rate(jnp.ones(1), s=y, d=0.0 * y, z=(u - y)[None], A=rate)
+
+
+def coil(sample, filter=None):
+    resistance, rate = sample
+    plant = Coil(resistance)
+    filter = aslo.LowPass(rate) if filter is None else filter
+    forgetting = aslo.LeastSquares(aslo.LowPass(rate))
+    observer = aslo.AlgebraicObserver(Current(plant), filter, forgetting)
+    command = aslo.control.OpenLoop(jnp.cos)
+    return aslo.Experiment(plant, command, {"current": observer}, 1e-2)
+
+
+SAMPLES = np.array([0.3, 0.5, 2.0]), np.array([3.0, 10.0, 40.0])
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_relation_with_a_rate_of_its_own_that_varies(order):
+    """Its matrix exponential is compiled, and the systems that its start solves."""
+    of_order = {1: None, 2: lambda rate: second_order(rate, 0.7)}[order]
+
+    def make(sample):
+        return coil(sample, None if of_order is None else of_order(sample[1]))
+
+    keep = lambda r: (r.estimates["current"].value, r.hidden)
+    runs = [
+        run_batch(make, SAMPLES, 300, record=keep, every=50, engine=engine).record
+        for engine in ("fused", "scan")
+    ]
+    for a, b in zip(*runs, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-11)
+    value, true = runs[0]
+    np.testing.assert_allclose(value[:, -1], true[:, -1], atol=1e-3)
+
+
+def test_a_refusal_within_the_library_names_the_line_of_the_user():
+    poles = jnp.arange(1.0, 8.0)
+
+    def make(sample):
+        A = -jnp.diag(poles) * sample[1] + jnp.eye(7, k=1)
+        filter = aslo.LinearFilter(A, jnp.ones(7), jnp.ones(7))
+        return coil(sample, filter)
+
+    with pytest.raises(NotFusible, match=r"7 by 7, larger than 6 by 6") as caught:
+        run_batch(make, SAMPLES, 10, engine="fused")
+    message = str(caught.value)
+    assert "`jnp.linalg.solve` (primitive `lu`) of " + __file__ in message
+    assert "filters.py" not in message and "relations.py" not in message

@@ -16,7 +16,7 @@ from ..._checks import is_concrete
 from ..ir.graph import Graph
 from .elementwise import ELEMENTWISE, Unsupported
 from .functions import FUNCTIONS, applies_function
-from .origin import described, located
+from .origin import described, located, with_caller
 from .structural import STRUCTURAL, Value, constant, known, select
 
 UNROLLED = 4096  # the longest loop that is unrolled
@@ -34,7 +34,7 @@ def flatten(graph: Graph, closed: Any, inputs: list[Value]) -> list[Value]:
     try:
         return _closed(graph, closed, inputs)
     except Unsupported as error:
-        what = described(error.primitive, error.origin)
+        what = described(error.primitive, with_caller(error.origin))
         raise NotFusible(
             f'The fused engine cannot compile {what}: {error}. Use engine="scan", or write '
             "it with elementwise arithmetic on small arrays."

@@ -3,6 +3,7 @@ JAX that they called there."""
 
 import os
 import sysconfig
+import traceback
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -113,8 +114,8 @@ def located(found: Origin, equation: Any) -> Origin:
 
     JAX keeps what it has traced: a line within one of its own functions may be that of an
     earlier call, so the call's own line is preferred."""
-    traceback = equation.source_info.traceback
-    frames = [] if traceback is None else traceback.frames
+    trace = equation.source_info.traceback
+    frames = [] if trace is None else trace.frames
     here = origin([(f.function_name, f.file_name, f.line_num) for f in frames])
     called = _called(equation.params)
     of_jax = bool(called) and all(_plain(file).startswith(JAX) for _, file in called)
@@ -125,6 +126,17 @@ def located(found: Origin, equation: Any) -> Origin:
     if found.ours and here.line and not here.ours:
         return here._replace(function=found.function or function)
     return found if found.function else found._replace(function=function)
+
+
+def with_caller(found: Origin) -> Origin:
+    """With the line at which a user now calls this library, where their own is not known:
+    JAX leaves out what was called before it began to trace."""
+    if found.line and not found.ours:
+        return found
+    stack = traceback.walk_stack(None)
+    frames = [(f.f_code.co_name, f.f_code.co_filename, line) for f, line in stack]
+    caller = origin(frames)
+    return found if caller.ours else caller._replace(function=found.function)
 
 
 def described(primitive: str, found: Origin) -> str:
