@@ -9,13 +9,14 @@ import numpy as np
 from ..ir.graph import Graph
 from .libm import bits, error, exponential, hyperbolic, power, trigonometric
 from .libm.expression import Expression, where
+from .origin import Origin
 
 
 class Unsupported(Exception):
-    """Why a primitive has no graph; its name and the user's line, once they are known."""
+    """Why a primitive has no graph; its name and where it comes from, once known."""
 
     primitive = ""
-    line = ""
+    origin = Origin()
 
 
 Rule = Callable[..., int]

@@ -4,7 +4,7 @@ A value is an array of node numbers. Elementwise primitives work on them entry b
 (`rules`), structural ones move them (`structural`); calls are inlined here, loops unrolled.
 """
 
-from pathlib import Path
+import functools
 from typing import Any
 
 import jax
@@ -16,6 +16,8 @@ from jaxtyping import PyTree
 from ..._checks import is_concrete
 from ..ir.graph import NUMBERS, Graph
 from .elementwise import ELEMENTWISE, Unsupported
+from .functions import FUNCTIONS, applies_function
+from .origin import described, located, with_caller
 from .structural import STRUCTURAL, Value, constant, known, select
 
 UNROLLED = 4096  # the longest loop that is unrolled
@@ -33,11 +35,11 @@ def flatten(graph: Graph, closed: Any, inputs: list[Value]) -> list[Value]:
     try:
         return _closed(graph, closed, inputs)
     except Unsupported as error:
+        what = described(error.primitive, with_caller(error.origin))
         raise NotFusible(
-            f"The fused engine cannot compile the primitive `{error.primitive}`"
-            f'{error.line}: {error}. Use engine="scan", or write it with elementwise '
-            "arithmetic on small arrays."
-        ) from None
+            f'The fused engine cannot compile {what}: {error}. Use engine="scan", or write '
+            "it with elementwise arithmetic on small arrays."
+        ) from error.__cause__
 
 
 def check_numbers(tree: PyTree, what: str) -> None:
@@ -90,13 +92,23 @@ def _jaxpr(graph: Graph, jaxpr: Any, consts: list[Value], inputs: list[Value]) -
     for equation in jaxpr.eqns:
         arguments = [read(atom) for atom in equation.invars]
         try:
-            found = _apply(graph, equation, arguments)
+            found = _guarded(graph, equation, arguments)
         except Unsupported as error:
             error.primitive = error.primitive or equation.primitive.name
-            error.line = error.line or _line(equation)
+            error.origin = located(error.origin, equation)
             raise
         values.update(zip(equation.outvars, map(np.asarray, found), strict=True))
     return [read(atom) for atom in jaxpr.outvars]
+
+
+def _guarded(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
+    """What fails within a rule is a refusal too, from which there is a way back to scan."""
+    try:
+        return _apply(graph, equation, arguments)
+    except (Unsupported, NotFusible):
+        raise
+    except Exception as error:
+        raise Unsupported(f"its rule fails with {type(error).__name__}: {error}") from error
 
 
 def _dtype(atom: Any) -> Any:
@@ -118,17 +130,24 @@ def _apply(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
         for index in np.ndindex(aval.shape):
             out[index] = rule(graph, aval.dtype, params, *(int(a[index]) for a in spread))
         return [out]
-    if name in STRUCTURAL:
-        return STRUCTURAL[name](graph, equation, *arguments)
-    if name in CONTROL:
-        return CONTROL[name](graph, equation, *arguments)
     inner = _inner(params)
     try:
-        if inner is not None:
-            return _closed(graph, inner, arguments)
-        raise Unsupported("it has no rule")
+        return _by_rule(graph, equation, inner, arguments)
     except Unsupported as error:
         return _constant(graph, equation, arguments, error)
+
+
+def _by_rule(graph: Graph, equation: Any, inner: Any, arguments: list[Value]) -> list:
+    name = equation.primitive.name
+    if applies_function(equation):
+        inline = functools.partial(_closed, graph)
+        return FUNCTIONS[name](inline, graph, equation, *arguments)
+    for rules in (STRUCTURAL, CONTROL):
+        if name in rules:
+            return rules[name](graph, equation, *arguments)
+    if inner is not None:
+        return _closed(graph, inner, arguments)
+    raise Unsupported("it has no rule")
 
 
 def _constant(
@@ -167,20 +186,6 @@ def _inner(params: dict[str, Any]) -> Any:
         if inner is not None:
             return inner if hasattr(inner, "consts") else jex.ClosedJaxpr(inner, ())
     return None
-
-
-def _line(equation: Any) -> str:
-    """The line of the user's code that an equation comes from."""
-    traceback = equation.source_info.traceback
-    if traceback is None:
-        return ""
-    here = str(Path(__file__).parents[1])  # the engines
-    for frame in traceback.frames:
-        name = frame.file_name
-        foreign = any(part in name for part in ("/jax/", "/equinox/", "/jaxtyping/"))
-        if not foreign and not name.startswith((here, "<")):
-            return f" of {name}:{frame.line_num}"
-    return ""
 
 
 def _scan(graph, equation, *arguments):
