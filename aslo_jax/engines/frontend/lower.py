@@ -117,8 +117,9 @@ def _dtype(atom: Any) -> Any:
 
 def _apply(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
     name, params = equation.primitive.name, equation.params
+    inner = _inner(params)
     kind = unusual(*(v.aval for v in (*equation.invars, *equation.outvars)))
-    if kind is not None:
+    if kind is not None and inner is None:  # of a call, the one within is named
         return _constant(
             graph, equation, arguments, Unsupported(f"its numbers have type {kind}")
         )
@@ -130,7 +131,6 @@ def _apply(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
         for index in np.ndindex(aval.shape):
             out[index] = rule(graph, aval.dtype, params, *(int(a[index]) for a in spread))
         return [out]
-    inner = _inner(params)
     try:
         return _by_rule(graph, equation, inner, arguments)
     except Unsupported as error:
