@@ -15,6 +15,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import jax
 from program_checks import Outcome, outcome
 from random_programs import Code, Line, generate, reduced, source
 
@@ -72,6 +73,7 @@ def _child() -> None:
         except Exception as error:
             found = Outcome(code.seed, wrong=f"{type(error).__name__}: {error}\n")
         print(json.dumps(dataclasses.asdict(found)), file=out, flush=True)
+        jax.clear_caches()
 
 
 def report(code: Code, found: Outcome) -> str:
@@ -103,7 +105,10 @@ def main(arguments: list[str]) -> int:
             print(f"refused {code.seed}: {found.refused}", flush=True)
         if found.wrong:
             failed.append(code.seed)
-            print(f"WRONG {report(shortest(code) if chosen.reduce else code, found)}", flush=True)
+            print(
+                f"WRONG {report(shortest(code) if chosen.reduce else code, found)}",
+                flush=True,
+            )
     print(
         f"{chosen.count} programs, {refused} refused, wrong: {failed or 'none'}; "
         f"{compared} numbers compared, {unsettled} not settled"

@@ -7,9 +7,9 @@ operand, `{c}` for a constant, `{m}` for a small whole number, `{u}` for a posit
 each lane.
 
 Rounding: `R` marks what is rounded and `E` what is exact but for the sign of a zero, which
-an engine may lose (`R(x)` inside an expression marks a part of it). The oracle moves the
-former by a few units in the last place and turns the latter's sign, to see what of a result
-is settled.
+an engine may lose; `M` marks the operands too, of an expression whose terms may cancel. The
+oracle moves what is rounded by some units in the last place and turns the sign of zeros, to
+see what of a result is settled.
 """
 
 from typing import NamedTuple
@@ -42,14 +42,14 @@ SMOOTH = [
         """{0} + {1}
         {0} - {1}
         {0} * {1}
-        {c} * {0} + R({c} * {1})
-        p["y"] * {0} + {1}
-        {0} / (1.0 + {1} * {1})
+        R({c} * {0}) + R({c} * {1})
+        R(p["y"] * {0}) + {1}
+        {0} / R(1.0 + R({1} * {1}))
         {1} / p["d"]
-        jnp.hypot(1.0 + {0}, {1})
+        jnp.hypot(R(1.0 + {0}), {1})
         lax.cond({0} > {1}, lambda a, b: R(a * {c}), lambda a, b: R(b + {c}), {0}, {1})
         lax.fori_loop(0, 3, lambda j, z: R({c} * jnp.tanh(z) + {1}), {0})
-        jnp.where({0} > {c}, {0} / jnp.where({0} > {c}, 1.0 + {1} * {1}, 1.0), {1})""",
+        jnp.where({0} > {c}, {0} / jnp.where({0} > {c}, R(1.0 + R({1} * {1})), 1.0), {1})""",
         smooth=True,
         weight=3,
     ),
@@ -70,13 +70,13 @@ SMOOTH = [
         jax.nn.sigmoid({0})
         {0} ** 3
         {0} * jnp.where({0} > 0, {c}, {c})
-        jnp.stack([{0}, {c} * p["y"]]) @ jnp.array([{c}, {c}], F)""",
+        jnp.stack([R({0}), R({c} * p["y"])]) @ jnp.array([{c}, {c}], F)""",
         smooth=True,
     ),
     *_all(
         "F",
         "V",
-        "R",
+        "M",
         """jnp.sum({0})
         {0} @ {0}
         jnp.mean({0} * p["c"])
@@ -88,7 +88,7 @@ SMOOTH = [
     *_all(
         "V",
         "VF",
-        "R",
+        "M",
         """{c} * {0} + {1}
         {0} * p["c"]
         jnp.cross({0}, p["c"])
@@ -111,9 +111,21 @@ REALS = [
         lax.rem({0}, {1})
         jnp.arctan2({0}, {1})
         jnp.abs({0}) ** {1}
-        {0} ** {1}
-        jnp.logaddexp({0}, {1})
-        jnp.linalg.det(jnp.stack([jnp.stack([{0}, R({1} + 2.0)]), jnp.stack([{1}, {0}])]))""",
+        {0} ** {1}""",
+    ),
+    *_all(
+        "F",
+        "FF",
+        "M",
+        """jnp.logaddexp({0}, {1})
+        jnp.linalg.det(jnp.stack([jnp.stack([{0}, 2.0 + {1}]), jnp.stack([{1}, {0}])]))""",
+    ),
+    *_all(
+        "F",
+        "F",
+        "M",
+        """jnp.interp({0}, jnp.array([-1.0, 0.0, 0.5, 2.0], F), jnp.array([0.1, 1.0, -1.0, 0.3], F))
+        jnp.polyval(jnp.array([{c}, {c}, {c}], F), {0})""",
     ),
     *_all(
         "F",
@@ -138,8 +150,6 @@ REALS = [
         {0} % 0.7
         1.0 / {0}
         {0}.astype(jnp.float32).astype(F)
-        jnp.interp({0}, jnp.array([-1.0, 0.0, 0.5, 2.0], F), jnp.array([0.1, 1.0, -1.0, 0.3], F))
-        jnp.polyval(jnp.array([{c}, {c}, {c}], F), {0})
         jnp.piecewise({0}, [{0} < -0.5, {0} > 0.5], [lambda z: -z, lambda z: R(z * z), {c}])""",
     ),
     *_all(
@@ -165,8 +175,6 @@ REALS = [
         -{0}
         jnp.clip({0}, -1.0, 2.0)
         jnp.nan_to_num({0}, nan={c}, posinf=3.0, neginf=-3.0)
-        {0}.astype(jnp.float16).astype(F)
-        {0}.astype(jnp.bfloat16).astype(F)
         jnp.where(jnp.isfinite({0}), {0}, {c})""",
     ),
     *_all(
@@ -201,12 +209,12 @@ REALS = [
         "E",
         "jnp.max({0})\njnp.min({0})\njnp.median({0})\njnp.sort({0})[1]",
     ),
-    *_all("F", "V", "R", "jnp.prod({0})\njnp.linalg.norm({0})\njnp.std({0})"),
+    *_all("F", "V", "M", "jnp.prod({0})\njnp.linalg.norm({0})\njnp.std({0})"),
     *_all("F", "VI", "", "{0}[{1}]"),
     *_all(
         "V",
         "V",
-        "R",
+        "M",
         """jnp.cumsum({0})
         jnp.cumprod({0})
         jnp.cumsum({0}[::-1])
@@ -363,3 +371,13 @@ LOGIC = [
 ]
 
 OPERATIONS = [*SMOOTH, *REALS, *WHOLE, *LOGIC]
+
+# Which an engine may refuse.
+HALVES = _all(
+    "F",
+    "F",
+    "E",
+    """{0}.astype(jnp.float16).astype(F)
+    {0}.astype(jnp.bfloat16).astype(F)""",
+    weight=40,
+)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from operations import OPERATIONS, SMOOTH, Operation
+from operations import HALVES, OPERATIONS, SMOOTH, Operation
 
 SITES = 61  # roundings that the oracle moves apart from each other
 CARRY = {"F": 4, "V": 1, "I": 2, "L": 1, "U": 1, "B": 1}
@@ -19,15 +19,15 @@ WHOLE = (-7, -3, -2, -1, 0, 1, 2, 3, 5, 31, 33)
 # What each entry of the carry becomes, of a value `{0}`, itself `{1}` and another `{2}`.
 ENDS = {
     "F": (
-        "R({0} / (1.0 + jnp.abs({0})))",
-        "R({1} + R(0.1 * R({0} / (1.0 + jnp.abs({0})))))",
-        "R({c} * R({0} / (1.0 + jnp.abs({0}))))",
-        "R(p['y'] * R({0} / (1.0 + jnp.abs({0}))))",
+        "R({0} / R(1.0 + jnp.abs({0})))",
+        "R({1} + R(0.1 * R({0} / R(1.0 + jnp.abs({0})))))",
+        "R({c} * R({0} / R(1.0 + jnp.abs({0}))))",
+        "R(p['y'] * R({0} / R(1.0 + jnp.abs({0}))))",
         "{2}",
         "jnp.clip({0}, -3.0, 3.0)",
         "{0}",
     ),
-    "V": ("R({0} / (1.0 + jnp.abs({0})))", "R(0.9 * {1} + R(0.1 * jnp.tanh({0})))"),
+    "V": ("R({0} / R(1.0 + jnp.abs({0})))", "R(R(0.9 * {1}) + R(0.1 * R(jnp.tanh({0}))))"),
     "I": ("{0}", "{1} + 1", "{0} % 10"),
     "L": ("{0}", "{1} + k"),
     "U": ("{0}", "{1} * 1664525 + 1013904223"),
@@ -84,12 +84,15 @@ GIVEN = [
 
 def generate(seed: int) -> Code:
     """The program of a seed: every third one in single precision, every fifth one smooth,
-    and every other one mostly sums and products."""
+    and every other one mostly sums and products; every twentieth one uses numbers of half
+    precision too."""
     rng = random.Random(seed)
     smooth = seed % 5 == 3
     menu = SMOOTH if smooth else OPERATIONS
     if not smooth and seed % 2:
         menu = menu + 4 * SMOOTH
+    if seed % 20 == 19:
+        menu = menu + HALVES
     weights = [operation.weight for operation in menu]
     known = [(name, kind) for name, kind in carried()]
     known += [(text, kind) for kind, text in GIVEN]
@@ -110,8 +113,11 @@ def generate(seed: int) -> Code:
     for n in range(rng.randint(10, 24)):
         operation: Operation = rng.choices(menu, weights)[0]
         text = filled(operation.text, operation.result)
+        if operation.rounding == "M":
+            for mark in ("{0}", "{1}"):
+                text = text.replace(mark, f"R({mark})")
         if operation.rounding:
-            text = f"{operation.rounding}({text})"
+            text = f"E({text})" if operation.rounding == "E" else f"R({text})"
         operands = tuple(pick(kind) for kind in operation.operands)
         lines.append(Line(f"e{n}", operation.result, text, operands))
         known.append((f"e{n}", operation.result))
@@ -119,7 +125,7 @@ def generate(seed: int) -> Code:
     for name, kind in carried():
         text = filled(rng.choice(ENDS[kind]), kind)
         if name == "w":
-            text = "R(0.9 * w + R(0.1 * jnp.sin(R(0.3 * k.astype(F)))))"
+            text = "R(R(0.9 * w) + R(0.1 * jnp.sin(R(0.3 * k.astype(F)))))"
         others = [n for n, k in carried() if k == kind]
         ends.append(Line(name, kind, text, (pick(kind), name, rng.choice(others))))
     made = [(line.name, line.kind) for line in lines]
@@ -218,12 +224,12 @@ class Moved:
     def _at(self, x: jax.Array, name: str, place: int) -> jax.Array:
         return self.noise[name][place : place + x.size].reshape(x.shape)
 
-    def R(self, x: jax.Array) -> jax.Array:  # noqa: N802
+    def R(self, x: jax.Array) -> jax.Array:
         place, self.places = self.places % SITES, self.places + 1
         at = lambda name: self._at(x, name, place)
         return x * jnp.where(x == 0, at("turned"), at("near"))
 
-    def E(self, x: jax.Array) -> jax.Array:  # noqa: N802
+    def E(self, x: jax.Array) -> jax.Array:
         place, self.places = self.places % SITES, self.places + 1
         return jnp.where(x == 0, x * self._at(x, "sign", place), x)
 
@@ -269,7 +275,7 @@ class Sum:
 
     def update(self, state, record):
         total, vector, most, count, _ = state
-        R = Moved(record["noise"]).R if "noise" in record else lambda x: x  # noqa: N806
+        R = Moved(record["noise"]).R if "noise" in record else lambda x: x
         return (
             R(total + R(0.25 * record["f0"])),
             R(0.5 * R(vector + record["v0"])),
@@ -311,7 +317,8 @@ def sampled(seed: int, real: str, lanes: int) -> dict[str, Any]:
     return {
         "x": mixed(rng.normal(size=shape).astype(F), specials),
         "y": mixed(rng.uniform(-1.5, 1.5, shape).astype(F), [0.0, -0.0, 1.0, -1.0]),
-        "d": rng.choice([-1.0, 1.0], shape).astype(F) * rng.uniform(0.6, 2.0, shape).astype(F),
+        "d": rng.choice([-1.0, 1.0], shape).astype(F)
+        * rng.uniform(0.6, 2.0, shape).astype(F),
         "c": mixed(rng.uniform(-1, 1, (lanes, 3)).astype(F), [0.0, 1.0, *specials]),
         "i": mixed(rng.integers(-5, 9, shape).astype(np.int32), whole(np.int32)),
         "l": mixed(rng.integers(-50, 90, shape), whole(np.int64)),
