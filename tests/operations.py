@@ -1,4 +1,4 @@
-"""What random programs are made of: operations of JAX as a user writes them, by their types.
+"""What random programs are made of: operations of JAX as a user writes them, by type.
 
 Types: `F` a real of the program's precision, `V` three of them, `I`, `L` and `U` whole
 numbers (int32, int64, uint32), `B` a boolean. In an expression `{0}` stands for the first
@@ -49,7 +49,7 @@ SMOOTH = [
         jnp.hypot(R(1.0 + {0}), {1})
         lax.cond({0} > {1}, lambda a, b: R(a * {c}), lambda a, b: R(b + {c}), {0}, {1})
         lax.fori_loop(0, 3, lambda j, z: R({c} * jnp.tanh(z) + {1}), {0})
-        jnp.where({0} > {c}, {0} / jnp.where({0} > {c}, R(1.0 + R({1} * {1})), 1.0), {1})""",
+        jnp.where({0} > {c}, {0} / jnp.where({0} > {c}, R(1.0 + {1} ** 2), 1.0), {1})""",
         smooth=True,
         weight=3,
     ),
@@ -107,8 +107,8 @@ REALS = [
         "FF",
         "R",
         """{0} / {1}
-        {0} % {1}
-        lax.rem({0}, {1})
+        bounded({0}) % divisor({1})
+        lax.rem(bounded({0}), divisor({1}))
         jnp.arctan2({0}, {1})
         jnp.abs({0}) ** {1}
         {0} ** {1}""",
@@ -124,7 +124,7 @@ REALS = [
         "F",
         "F",
         "M",
-        """jnp.interp({0}, jnp.array([-1.0, 0.0, 0.5, 2.0], F), jnp.array([0.1, 1.0, -1.0, 0.3], F))
+        """jnp.interp({0}, jnp.array([-1.0, 0.0, 0.5], F), jnp.array([0.1, 1.0, -1.0], F))
         jnp.polyval(jnp.array([{c}, {c}, {c}], F), {0})""",
     ),
     *_all(
@@ -146,11 +146,11 @@ REALS = [
         {0} ** 0.5
         {0} ** -2
         {0} ** 2.5
-        {0} % {u}.0
-        {0} % 0.7
+        bounded({0}) % {u}.0
+        bounded({0}) % 0.7
         1.0 / {0}
         {0}.astype(jnp.float32).astype(F)
-        jnp.piecewise({0}, [{0} < -0.5, {0} > 0.5], [lambda z: -z, lambda z: R(z * z), {c}])""",
+        jnp.piecewise({0}, [{0} < -0.5, {0} > 0.5], [lambda z: -z, lambda z: R(z**2), 2])""",
     ),
     *_all(
         "F",
@@ -190,7 +190,7 @@ REALS = [
         "F",
         "IFF",
         "",
-        """lax.switch({0}, [lambda a, b: a, lambda a, b: R(a + b), lambda a, b: b], {1}, {2})
+        """lax.switch({0}, [lambda a, b: a, lambda a, b: R(a + b), jnp.fmax], {1}, {2})
         T[{0}] + 0.0 * p["y"]
         p["c"][{0}]
         lax.dynamic_index_in_dim(p["c"], {0}, keepdims=False)
@@ -341,7 +341,7 @@ WHOLE = [
         "I",
         "III",
         "",
-        """lax.switch({0}, [lambda a, b: a + b, lambda a, b: a // b, lambda a, b: b], {1}, {2})
+        """lax.switch({0}, [lax.add, lambda a, b: a // b, lambda a, b: b], {1}, {2})
         jnp.stack([{1}, {2}, {0}])[{0}]
         jnp.cumsum(jnp.stack([{0}, {1}, {2}]))[1]
         jnp.sort(jnp.stack([{0}, {1}, {2}]))[0]
