@@ -11,9 +11,10 @@ import jax
 import jax.extend.core as jex
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from ..._checks import is_concrete
-from ..ir.graph import Graph
+from ..ir.graph import NUMBERS, Graph
 from .elementwise import ELEMENTWISE, Unsupported
 from .functions import FUNCTIONS, applies_function
 from .origin import described, located, with_caller
@@ -41,6 +42,30 @@ def flatten(graph: Graph, closed: Any, inputs: list[Value]) -> list[Value]:
         ) from error.__cause__
 
 
+def check_numbers(tree: PyTree, what: str) -> None:
+    """That the leaves of a tree of shapes have types that a graph computes with.
+
+    **Raises:** [`NotFusible`][]."""
+    kind = unusual(*jax.tree.leaves(tree))
+    if kind is not None:
+        raise NotFusible(
+            f"The fused engine does not compute with numbers of type {kind}, as {what}. "
+            'Use engine="scan", or other types.'
+        )
+
+
+def unusual(*shaped: Any) -> str | None:
+    """The type of one of some arrays, their shapes or tracers, if a graph lacks it: halves,
+    complex numbers, typed random keys."""
+    kinds = (str(x.dtype) for x in shaped if hasattr(x, "dtype"))
+    return next((kind for kind in kinds if kind not in NUMBERS), None)
+
+
+def _is_extended(dtype: Any) -> bool:
+    """Whether it is a type of JAX's own, that of random keys."""
+    return jnp.issubdtype(dtype, jax.dtypes.extended)
+
+
 def _closed(graph: Graph, closed: Any, inputs: list[Value]) -> list[Value]:
     if not is_concrete(*closed.consts):
         raise NotFusible(
@@ -48,6 +73,8 @@ def _closed(graph: Graph, closed: Any, inputs: list[Value]) -> list[Value]:
             "being traced (by jit, vmap or a derivative around it): hand it over in "
             '`samples`, one for each, or use engine="scan".'
         )
+    typed = [c for c in closed.consts if hasattr(c, "dtype") and _is_extended(c.dtype)]
+    check_numbers(typed, "a constant that a function closes over has")
     consts = [constant(graph, c) for c in closed.consts]
     return _jaxpr(graph, closed.jaxpr, consts, inputs)
 
@@ -90,6 +117,11 @@ def _dtype(atom: Any) -> Any:
 
 def _apply(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
     name, params = equation.primitive.name, equation.params
+    kind = unusual(*(v.aval for v in (*equation.invars, *equation.outvars)))
+    if kind is not None:
+        return _constant(
+            graph, equation, arguments, Unsupported(f"its numbers have type {kind}")
+        )
     if name in ELEMENTWISE:
         rule = ELEMENTWISE[name]
         spread = np.broadcast_arrays(*arguments)
@@ -101,11 +133,8 @@ def _apply(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
     inner = _inner(params)
     try:
         return _by_rule(graph, equation, inner, arguments)
-    except Unsupported:
-        values = [known(graph, argument) for argument in arguments]
-        if any(value is None for value in values):
-            raise
-        return [constant(graph, x) for x in _evaluated(equation, inner, values)]
+    except Unsupported as error:
+        return _constant(graph, equation, arguments, error)
 
 
 def _by_rule(graph: Graph, equation: Any, inner: Any, arguments: list[Value]) -> list:
@@ -121,9 +150,22 @@ def _by_rule(graph: Graph, equation: Any, inner: Any, arguments: list[Value]) ->
     raise Unsupported("it has no rule")
 
 
-def _evaluated(equation: Any, inner: Any, values: list[Any]) -> list[np.ndarray]:
-    """What anything gives for constants, by JAX itself: a matrix exponential, say, that
-    depends on nothing but an interval."""
+def _constant(
+    graph: Graph, equation: Any, arguments: list[Value], otherwise: Unsupported
+) -> list[Value]:
+    """What an equation gives for constants: a matrix exponential, say, that depends on
+    nothing but an interval. It raises what happens `otherwise`."""
+    values = [known(graph, argument) for argument in arguments]
+    results = [v.aval for v in equation.outvars]
+    plain = not any(_is_extended(a.dtype) for a in results if hasattr(a, "dtype"))
+    if not plain or any(value is None for value in values):
+        raise otherwise
+    return [constant(graph, x) for x in _evaluated(equation, values)]
+
+
+def _evaluated(equation: Any, values: list[Any]) -> list[np.ndarray]:
+    """By JAX itself."""
+    inner = _inner(equation.params)
     with jax.ensure_compile_time_eval():
         values = [jnp.asarray(value) for value in values]
         if inner is not None:
