@@ -1,6 +1,9 @@
 """Straight-line linear algebra for small systems: it fuses, vectorises and differentiates
 where calls to LAPACK do not."""
 
+import math
+
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -98,3 +101,43 @@ def solve_rows(
     )
     x = jnp.where(regular, jnp.stack([jnp.asarray(xi) for xi in x]), 0.0)
     return x, jnp.where(regular, n / (m * trace), 0.0)
+
+
+DOUBLINGS = 20  # the most of an exponential
+TERMS = 18  # of its series, the first omitted one below 1e-17
+
+
+def exponential_integrals(
+    Z: Float[Array, "k k"],
+) -> tuple[Float[Array, "k k"], Float[Array, "k k"], Float[Array, "k k"]]:
+    """`exp Z`, `phi1(Z) = (exp Z - 1)/Z` and `phi2(Z) = (phi1(Z) - 1)/Z`, as power series.
+
+    Of `Z/2^s`, whose size is one at most, then doubled s times: products only, where the
+    usual exponential solves systems of equations. Not a number for sizes above 1e6, for
+    which s would exceed 20.
+    """
+    one = jnp.eye(Z.shape[0], dtype=Z.dtype)
+    size = jax.lax.stop_gradient(jnp.max(jnp.sum(jnp.abs(Z), axis=1)))
+    # Comparisons of sizes rather than logarithms, which may miss by one.
+    bounds = 2.0 ** jnp.arange(DOUBLINGS + 1, dtype=Z.dtype)
+    doublings = jnp.sum(size > bounds)
+    small = Z / 2.0 ** doublings.astype(Z.dtype)
+    phi2 = jnp.zeros_like(Z)
+    for n in reversed(range(TERMS)):
+        phi2 = one / math.factorial(n + 2) + small @ phi2
+    phi1 = one + small @ phi2
+    phi0 = one + small @ phi1
+
+    def double(k, phis):
+        phi0, phi1, phi2 = phis
+        doubled = (
+            phi0 @ phi0,
+            0.5 * (phi1 + phi0 @ phi1),
+            0.25 * (phi1 @ phi1) + 0.5 * phi2,
+        )
+        return [jnp.where(k < doublings, a, b) for a, b in zip(doubled, phis, strict=True)]
+
+    found = jax.lax.fori_loop(0, DOUBLINGS, double, [phi0, phi1, phi2])
+    fits = doublings <= DOUBLINGS
+    phi0, phi1, phi2 = (jnp.where(fits, phi, jnp.nan) for phi in found)
+    return phi0, phi1, phi2

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-import jax.scipy.linalg
 from jaxtyping import Array, Float, PyTree
 
 from ._checks import optional_real, positive, real, stable
+from ._small import exponential_integrals
 
 
 class AbstractLaw(eqx.Module):
@@ -160,15 +160,10 @@ class LinearSystem(AbstractLaw):
         return jnp.tensordot(self.A, X, axes=1) + v
 
     def discretise(self, h):
-        # exp of [[A h, 1, 0], [0, 0, 1], [0, 0, 0]] holds exp(Ah), phi1(Ah), phi2(Ah).
-        k = self.A.shape[0]
         h = jnp.asarray(h, self.A.dtype)
-        block = jnp.zeros((3 * k, 3 * k), self.A.dtype)
-        block = block.at[:k, :k].set(self.A * h)
-        block = block.at[: 2 * k, k:].set(jnp.eye(2 * k, dtype=self.A.dtype))
-        power = jax.scipy.linalg.expm(block)
-        right = h * power[:k, 2 * k :]
-        return _Hold(power[:k, :k], h * power[:k, k : 2 * k] - right, right)
+        decay, phi1, phi2 = exponential_integrals(self.A * h)
+        right = h * phi2
+        return _Hold(decay, h * phi1 - right, right)
 
     def advance(self, X, v0, v1, coefficients):
         decay, left, right = coefficients

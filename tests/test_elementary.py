@@ -1,5 +1,7 @@
 """The elementary functions of the fused engine, over their ranges and at their edges."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,6 +30,10 @@ def quantile(x):
     return scipy.special.erfinv(x.astype(float)).astype(np.longdouble)
 
 
+def one_by_one(function):
+    return lambda x: np.array([function(v) for v in x.tolist()], np.longdouble)
+
+
 # Function, reference in extended precision, arguments.
 CASES = {
     "sin": (jnp.sin, np.sin, [uniform(-1e5, 1e5), uniform(-4, 4), EDGES[:2]]),
@@ -44,6 +50,12 @@ CASES = {
     "tanh": (jnp.tanh, np.tanh, [uniform(-30, 30), spread(-30, 1), EDGES]),
     "sinh": (jnp.sinh, np.sinh, [uniform(-87, 87), spread(-30, 1), EDGES]),
     "cosh": (jnp.cosh, np.cosh, [uniform(-87, 87), uniform(-2, 2), EDGES]),
+    "asinh": (jnp.arcsinh, np.arcsinh, [spread(-30, 37), uniform(-3, 3), EDGES]),
+    "acosh": (jnp.arccosh, np.arccosh, [1 + np.abs(spread(-6, 37)), uniform(1, 2), EDGES]),
+    "atanh": (jnp.arctanh, np.arctanh, [uniform(-1, 1), spread(-30, -1), EDGES]),
+    "cbrt": (jnp.cbrt, np.cbrt, [spread(-37, 37), uniform(-3, 3), EDGES]),
+    "erf": (jax.lax.erf, one_by_one(math.erf), [uniform(-6, 6), spread(-30, 0), EDGES]),
+    "erfc": (jax.lax.erfc, one_by_one(math.erfc), [uniform(-6, 9), uniform(0.4, 1.1), EDGES]),
     "logistic": (
         jax.nn.sigmoid,
         lambda x: 1 / (1 + np.exp(-x)),
@@ -58,7 +70,7 @@ PAIRS = {
         [np.concatenate([spread(-30, 30), EDGES, [np.inf, 0.0, -0.0, 2.0]])] * 2,
     ),
     "pow": (jnp.power, np.power, [np.abs(spread(-3, 3)), uniform(-9, 9)]),
-    "rem": (jax.lax.rem, np.fmod, [spread(-3, 6), spread(-1, 3)]),
+    "rem": (jax.lax.rem, np.fmod, [spread(-3, 16), spread(-1, 3)]),
 }
 
 
@@ -75,13 +87,16 @@ def evaluate(function, *arguments):
 
 
 def errors(found, expected):
-    """In units in the last place; zero where both are infinite alike or no numbers."""
+    """In units in the last place; zero where both are infinite alike or no numbers, and
+    where both are less than the least normal number, which a host may take for zero."""
     right = expected.astype(found.dtype)
+    tiny = np.finfo(found.dtype).tiny
     same = (found == right) | (np.isnan(found) & np.isnan(right))
+    same |= (np.abs(found) < tiny) & (np.abs(right) < tiny)
     with np.errstate(all="ignore"):
         unit = np.spacing(np.abs(right)).astype(np.longdouble)
         error = np.abs(found.astype(np.longdouble) - expected) / unit
-    return np.where(same, np.where(np.isfinite(error), error, 0.0), error)
+    return np.where(same, 0.0, error)
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -95,11 +110,6 @@ def test_the_error_is_as_stated(name, dtype):
         arguments = [np.asarray(p, dtype) for p in parts]
         if name == "atan2":
             arguments[1] = np.random.default_rng(1).permutation(arguments[1])
-        if name == "rem":  # quotients beyond the mantissa are not exact
-            keep = np.abs(arguments[0] / arguments[1]) < 2.0 ** (
-                20 if dtype == np.float32 else 50
-            )
-            arguments = [x[keep] for x in arguments]
     with np.errstate(all="ignore"):
         expected = reference(*(x.astype(np.longdouble) for x in arguments))
     error = errors(evaluate(function, *arguments), expected)

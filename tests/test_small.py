@@ -4,8 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
 
-from aslo_jax._small import solve_definite, solve_rows
+from aslo_jax._small import exponential_integrals, solve_definite, solve_rows
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 6])
@@ -53,3 +54,37 @@ def test_singular_systems_have_no_certificate_and_finite_gradients():
                 return jnp.sum(x) + certificate
 
             assert jnp.isfinite(jax.grad(total)(M)).all()
+
+
+@pytest.mark.parametrize("size", [1e-7, 1e-3, 0.3, 1.0, 8.0, 200.0])
+@pytest.mark.parametrize("k", [1, 3])
+def test_exponential_and_its_integrals(k, size):
+    """By SciPy's exponential of a matrix of blocks, stable and not normal."""
+    A = np.random.default_rng(k).normal(size=(k, k))
+    A = size * (A - (np.linalg.eigvals(A).real.max() + 0.1) * np.eye(k))
+    block = np.zeros((3 * k, 3 * k))
+    block[:k, :k] = A
+    block[: 2 * k, k:] = np.eye(2 * k)
+    expected = np.hsplit(scipy.linalg.expm(block)[:k], 3)
+    for found, value in zip(jax.jit(exponential_integrals)(A), expected, strict=True):
+        np.testing.assert_allclose(found, value, rtol=0, atol=2e-13 * abs(value).max())
+
+
+def test_exponential_of_a_rotation_and_its_derivatives():
+    """By hand: `exp [[0, -w], [w, 0]]` turns by w, and so does its derivative, a quarter
+    further; at zero the second integral is 1/2 and its slope 1/6."""
+    turn = lambda w: exponential_integrals(w * jnp.array([[0.0, -1.0], [1.0, 0.0]]))
+    for w in (0.0, 0.7, 1.0, 25.0):
+        c, s = np.cos(w), np.sin(w)
+        value, slope = jax.jvp(turn, (w,), (1.0,))
+        np.testing.assert_allclose(value[0], [[c, -s], [s, c]], atol=1e-14)
+        np.testing.assert_allclose(slope[0], [[-s, -c], [c, -s]], atol=1e-14)
+        reverse = jax.grad(lambda w: turn(w)[0][1, 0])(w)
+        np.testing.assert_allclose(reverse, c, atol=1e-14)
+    value, slope = jax.jvp(turn, (0.0,), (1.0,))
+    np.testing.assert_allclose(value[2], np.eye(2) / 2, rtol=1e-15)
+    np.testing.assert_allclose(slope[2], [[0.0, -1 / 6], [1 / 6, 0.0]], rtol=1e-15)
+    np.testing.assert_array_equal(jnp.isnan(turn(1e9)[0]), True)
+    single = exponential_integrals(jnp.full((1, 1), -3.0, jnp.float32))
+    assert single[0].dtype == jnp.float32
+    np.testing.assert_allclose(single[0], np.exp(-3.0), rtol=1e-6)

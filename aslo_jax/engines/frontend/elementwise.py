@@ -7,15 +7,16 @@ from typing import Any
 import numpy as np
 
 from ..ir.graph import Graph
-from .libm import exponential, trigonometric
+from .libm import bits, error, exponential, hyperbolic, power, trigonometric
 from .libm.expression import Expression, where
+from .origin import Origin
 
 
 class Unsupported(Exception):
-    """Why a primitive has no graph; its name and the user's line, once they are known."""
+    """Why a primitive has no graph; its name and where it comes from, once known."""
 
     primitive = ""
-    line = ""
+    origin = Origin()
 
 
 Rule = Callable[..., int]
@@ -70,6 +71,8 @@ for _name, _op in {
     "shift_left": "shl",
     "shift_right_logical": "lshr",
     "shift_right_arithmetic": "ashr",
+    "population_count": "ones",
+    "clz": "zeros",
 }.items():
     _plain(_name, _op)
 
@@ -81,26 +84,48 @@ for _name, _f in {
     "acos": trigonometric.acos,
     "atan": trigonometric.atan,
     "atan2": trigonometric.atan2,
-    "sinh": exponential.sinh,
-    "cosh": exponential.cosh,
-    "tanh": exponential.tanh,
+    "sinh": hyperbolic.sinh,
+    "cosh": hyperbolic.cosh,
+    "tanh": hyperbolic.tanh,
+    "asinh": hyperbolic.asinh,
+    "acosh": hyperbolic.acosh,
+    "atanh": hyperbolic.atanh,
     "exp": exponential.exp,
     "exp2": exponential.exp2,
     "expm1": exponential.expm1,
     "log": exponential.log,
     "log1p": exponential.log1p,
     "logistic": exponential.logistic,
-    "erf_inv": exponential.erf_inv,
+    "erf": error.erf,
+    "erfc": error.erfc,
+    "erf_inv": error.erf_inv,
+    "cbrt": power.cbrt,
+    "nextafter": bits.nextafter,
     "rsqrt": lambda x: 1.0 / x.sqrt(),
-    "square": lambda x: x * x,
     "is_finite": lambda x: abs(x) < math.inf,
 }.items():
     _formula(_name, _f)
 
 
-@rule("stop_gradient", "copy", "copy_p", "reduce_precision", "real")
+@rule("stop_gradient", "copy", "copy_p", "real")
 def _same(graph: Graph, dtype: Any, params: Any, x: int) -> int:
     return x
+
+
+@rule("reduce_precision")
+def _reduce_precision(graph: Graph, dtype: Any, params: Any, x: int) -> int:
+    info = np.finfo(dtype)
+    bits = params["exponent_bits"], params["mantissa_bits"]
+    if bits[0] < info.iexp or bits[1] < info.nmant:
+        raise Unsupported(
+            f"it leaves {bits[0]} bits of the exponent and {bits[1]} of the mantissa"
+        )
+    return x
+
+
+@rule("square")
+def _square(graph: Graph, dtype: Any, params: Any, x: int) -> int:
+    return graph.op("mul", x, x)
 
 
 @rule("abs")
@@ -134,7 +159,8 @@ def _extreme(graph: Graph, op: str, x: int, y: int) -> int:
     if dtype == np.bool_:
         return graph.op("or" if op == "gt" else "and", x, y)
     out = graph.op(op, x, y)
-    if dtype.kind == "f" and graph.value(x) is None:
+    value = graph.value(x)
+    if dtype.kind == "f" and (value is None or np.isnan(value)):
         out = graph.op("or", out, graph.op("ne", x, x))
     return graph.select(out, x, y)
 
@@ -181,29 +207,30 @@ def _bitcast(graph: Graph, dtype: Any, params: Any, x: int) -> int:
 @rule("rem")
 def _rem(graph: Graph, dtype: Any, params: Any, x: int, y: int) -> int:
     if np.dtype(dtype).kind == "f":
-        return exponential.rem(Expression(graph, x), Expression(graph, y)).number
+        return power.rem(Expression(graph, x), Expression(graph, y)).number
     quotient = graph.op("div", x, y)
     return graph.op("sub", x, graph.op("mul", quotient, y))
 
 
 @rule("pow")
 def _pow(graph: Graph, dtype: Any, params: Any, x: int, y: int) -> int:
-    power = graph.value(y)
-    if graph.dtype(y).kind in "iu" and power is None:
-        y = graph.convert(y, graph.dtype(x))
-    elif power is not None and power == int(power) and abs(power) <= 16:
-        return _integer_pow(graph, dtype, {"y": int(power)}, x)
-    return exponential.power(Expression(graph, x), Expression(graph, y)).number
+    exponent = graph.value(y)
+    if exponent is not None and abs(exponent) <= 16 and exponent == int(exponent):
+        return _integer_pow(graph, dtype, {"y": int(exponent)}, x)
+    if np.dtype(dtype).kind != "f":
+        raise Unsupported("its exponent, a whole number, is not known when it is traced")
+    y = graph.convert(y, graph.dtype(x))
+    return power.power(Expression(graph, x), Expression(graph, y)).number
 
 
 @rule("integer_pow")
 def _integer_pow(graph: Graph, dtype: Any, params: Any, x: int) -> int:
-    power, out, square = abs(params["y"]), None, x
-    while power:
-        if power & 1:
+    left, out, square = abs(params["y"]), None, x
+    while left:
+        if left & 1:
             out = square if out is None else graph.op("mul", out, square)
-        power >>= 1
-        square = graph.op("mul", square, square) if power else square
+        left >>= 1
+        square = graph.op("mul", square, square) if left else square
     if out is None:
         return graph.const(1, dtype)
     return graph.op("div", graph.const(1, dtype), out) if params["y"] < 0 else out

@@ -4,17 +4,20 @@ A value is an array of node numbers. Elementwise primitives work on them entry b
 (`rules`), structural ones move them (`structural`); calls are inlined here, loops unrolled.
 """
 
-from pathlib import Path
+import functools
 from typing import Any
 
 import jax
 import jax.extend.core as jex
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from ..._checks import is_concrete
-from ..ir.graph import Graph
+from ..ir.graph import NUMBERS, Graph
 from .elementwise import ELEMENTWISE, Unsupported
+from .functions import FUNCTIONS, applies_function
+from .origin import described, located, with_caller
 from .structural import STRUCTURAL, Value, constant, known, select
 
 UNROLLED = 4096  # the longest loop that is unrolled
@@ -32,11 +35,35 @@ def flatten(graph: Graph, closed: Any, inputs: list[Value]) -> list[Value]:
     try:
         return _closed(graph, closed, inputs)
     except Unsupported as error:
+        what = described(error.primitive, with_caller(error.origin))
         raise NotFusible(
-            f"The fused engine cannot compile the primitive `{error.primitive}`"
-            f'{error.line}: {error}. Use engine="scan", or write it with elementwise '
-            "arithmetic on small arrays."
-        ) from None
+            f'The fused engine cannot compile {what}: {error}. Use engine="scan", or write '
+            "it with elementwise arithmetic on small arrays."
+        ) from error.__cause__
+
+
+def check_numbers(tree: PyTree, what: str) -> None:
+    """That the leaves of a tree of shapes have types that a graph computes with.
+
+    **Raises:** [`NotFusible`][]."""
+    kind = unusual(*jax.tree.leaves(tree))
+    if kind is not None:
+        raise NotFusible(
+            f"The fused engine does not compute with numbers of type {kind}, as {what}. "
+            'Use engine="scan", or other types.'
+        )
+
+
+def unusual(*shaped: Any) -> str | None:
+    """The type of one of some arrays, their shapes or tracers, if a graph lacks it: halves,
+    complex numbers, typed random keys."""
+    kinds = (str(x.dtype) for x in shaped if hasattr(x, "dtype"))
+    return next((kind for kind in kinds if kind not in NUMBERS), None)
+
+
+def _is_extended(dtype: Any) -> bool:
+    """Whether it is a type of JAX's own, that of random keys."""
+    return jnp.issubdtype(dtype, jax.dtypes.extended)
 
 
 def _closed(graph: Graph, closed: Any, inputs: list[Value]) -> list[Value]:
@@ -46,6 +73,8 @@ def _closed(graph: Graph, closed: Any, inputs: list[Value]) -> list[Value]:
             "being traced (by jit, vmap or a derivative around it): hand it over in "
             '`samples`, one for each, or use engine="scan".'
         )
+    typed = [c for c in closed.consts if hasattr(c, "dtype") and _is_extended(c.dtype)]
+    check_numbers(typed, "a constant that a function closes over has")
     consts = [constant(graph, c) for c in closed.consts]
     return _jaxpr(graph, closed.jaxpr, consts, inputs)
 
@@ -63,13 +92,23 @@ def _jaxpr(graph: Graph, jaxpr: Any, consts: list[Value], inputs: list[Value]) -
     for equation in jaxpr.eqns:
         arguments = [read(atom) for atom in equation.invars]
         try:
-            found = _apply(graph, equation, arguments)
+            found = _guarded(graph, equation, arguments)
         except Unsupported as error:
             error.primitive = error.primitive or equation.primitive.name
-            error.line = error.line or _line(equation)
+            error.origin = located(error.origin, equation)
             raise
         values.update(zip(equation.outvars, map(np.asarray, found), strict=True))
     return [read(atom) for atom in jaxpr.outvars]
+
+
+def _guarded(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
+    """What fails within a rule is a refusal too, from which there is a way back to scan."""
+    try:
+        return _apply(graph, equation, arguments)
+    except (Unsupported, NotFusible):
+        raise
+    except Exception as error:
+        raise Unsupported(f"its rule fails with {type(error).__name__}: {error}") from error
 
 
 def _dtype(atom: Any) -> Any:
@@ -78,6 +117,11 @@ def _dtype(atom: Any) -> Any:
 
 def _apply(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
     name, params = equation.primitive.name, equation.params
+    kind = unusual(*(v.aval for v in (*equation.invars, *equation.outvars)))
+    if kind is not None:
+        return _constant(
+            graph, equation, arguments, Unsupported(f"its numbers have type {kind}")
+        )
     if name in ELEMENTWISE:
         rule = ELEMENTWISE[name]
         spread = np.broadcast_arrays(*arguments)
@@ -86,25 +130,42 @@ def _apply(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
         for index in np.ndindex(aval.shape):
             out[index] = rule(graph, aval.dtype, params, *(int(a[index]) for a in spread))
         return [out]
-    if name in STRUCTURAL:
-        return STRUCTURAL[name](graph, equation, *arguments)
-    if name in CONTROL:
-        return CONTROL[name](graph, equation, *arguments)
     inner = _inner(params)
     try:
-        if inner is not None:
-            return _closed(graph, inner, arguments)
-        raise Unsupported("it has no rule")
-    except Unsupported:
-        values = [known(graph, argument) for argument in arguments]
-        if any(value is None for value in values):
-            raise
-        return [constant(graph, x) for x in _evaluated(equation, inner, values)]
+        return _by_rule(graph, equation, inner, arguments)
+    except Unsupported as error:
+        return _constant(graph, equation, arguments, error)
 
 
-def _evaluated(equation: Any, inner: Any, values: list[Any]) -> list[np.ndarray]:
-    """What anything gives for constants, by JAX itself: a matrix exponential, say, that
-    depends on nothing but an interval."""
+def _by_rule(graph: Graph, equation: Any, inner: Any, arguments: list[Value]) -> list:
+    name = equation.primitive.name
+    if applies_function(equation):
+        inline = functools.partial(_closed, graph)
+        return FUNCTIONS[name](inline, graph, equation, *arguments)
+    for rules in (STRUCTURAL, CONTROL):
+        if name in rules:
+            return rules[name](graph, equation, *arguments)
+    if inner is not None:
+        return _closed(graph, inner, arguments)
+    raise Unsupported("it has no rule")
+
+
+def _constant(
+    graph: Graph, equation: Any, arguments: list[Value], otherwise: Unsupported
+) -> list[Value]:
+    """What an equation gives for constants: a matrix exponential, say, that depends on
+    nothing but an interval. It raises what happens `otherwise`."""
+    values = [known(graph, argument) for argument in arguments]
+    results = [v.aval for v in equation.outvars]
+    plain = not any(_is_extended(a.dtype) for a in results if hasattr(a, "dtype"))
+    if not plain or any(value is None for value in values):
+        raise otherwise
+    return [constant(graph, x) for x in _evaluated(equation, values)]
+
+
+def _evaluated(equation: Any, values: list[Any]) -> list[np.ndarray]:
+    """By JAX itself."""
+    inner = _inner(equation.params)
     with jax.ensure_compile_time_eval():
         values = [jnp.asarray(value) for value in values]
         if inner is not None:
@@ -125,20 +186,6 @@ def _inner(params: dict[str, Any]) -> Any:
         if inner is not None:
             return inner if hasattr(inner, "consts") else jex.ClosedJaxpr(inner, ())
     return None
-
-
-def _line(equation: Any) -> str:
-    """The line of the user's code that an equation comes from."""
-    traceback = equation.source_info.traceback
-    if traceback is None:
-        return ""
-    here = str(Path(__file__).parents[1])  # the engines
-    for frame in traceback.frames:
-        name = frame.file_name
-        foreign = any(part in name for part in ("/jax/", "/equinox/", "/jaxtyping/"))
-        if not foreign and not name.startswith((here, "<")):
-            return f" of {name}:{frame.line_num}"
-    return ""
 
 
 def _scan(graph, equation, *arguments):

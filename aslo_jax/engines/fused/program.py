@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from ..backend.step import Body, Step, chosen
-from ..frontend.lower import flatten
+from ..frontend.lower import check_numbers, flatten
 from ..ir.graph import Graph
 from ..ir.loop import Loop, varying
 from ..passes import optimised
@@ -56,9 +56,13 @@ def trace(bodies: Bodies, inputs: dict[str, PyTree]) -> Traced:
     """The bodies, traced for inputs of the given shapes, those of one lane and one step."""
     make = functools.partial(jax.make_jaxpr, return_shape=True)
     fixed = constant_in_time(inputs)
+    check_numbers(inputs, "the samples or the logs have")
     begin, (carry, first) = make(bodies.begin)(fixed)
+    check_numbers(carry, "the state of the loop has")
     advance, (after, record) = make(bodies.advance)(_step(), carry, inputs)
     finish, final = make(bodies.finish)(carry, fixed)
+    check_numbers((first, record, final), "a result has")
+    check_numbers(after, "the state of the loop has after a step")
     if _shapes(after) != _shapes(carry):
         raise ValueError(
             "The carry of a loop must keep its shapes and types, but a step makes "

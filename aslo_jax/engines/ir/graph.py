@@ -1,11 +1,15 @@
 """A graph of scalar operations: each is kept once, and constants are folded."""
 
 from collections.abc import Callable
-from fractions import Fraction
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from .folding import FOLD, converted, fused
+
+# The types of numbers that a graph may compute with, by name.
+NUMBERS = ("float64", "float32", "bool")
+NUMBERS += tuple(f"{kind}{8 * size}" for kind in ("int", "uint") for size in (1, 2, 4, 8))
 BOOL = np.dtype(bool)
 Value = TypeVar("Value")
 
@@ -27,45 +31,6 @@ class Node(NamedTuple):
         return any(time for time, _ in args), any(lane for _, lane in args)
 
 
-def _shift(operation):
-    def fold(x, y):
-        return operation(x, y) if 0 <= y < x.dtype.itemsize * 8 else x.dtype.type(0)
-
-    return fold
-
-
-def _shift_of_sign(x, y):
-    """By so many bits or more, or by less than none, only the sign is left."""
-    bits = x.dtype.itemsize * 8
-    amount = int(y) if 0 <= y < bits else bits - 1
-    return (x.view(f"i{x.dtype.itemsize}") >> amount).view(x.dtype)
-
-
-FOLD: dict[str, Callable[..., Any]] = {
-    "add": np.add,
-    "sub": np.subtract,
-    "mul": np.multiply,
-    "div": lambda x, y: x / y if x.dtype.kind == "f" else x.dtype.type(int(x / y)),
-    "neg": np.negative,
-    "abs": np.abs,
-    "sqrt": np.sqrt,
-    "floor": np.floor,
-    "ceil": np.ceil,
-    "rint": np.rint,
-    "and": np.bitwise_and,
-    "or": np.bitwise_or,
-    "xor": np.bitwise_xor,
-    "not": np.invert,
-    "shl": _shift(np.left_shift),
-    "lshr": _shift(lambda x, y: (x.view(f"u{x.dtype.itemsize}") >> int(y)).view(x.dtype)),
-    "ashr": _shift_of_sign,
-    "eq": np.equal,
-    "ne": np.not_equal,
-    "lt": np.less,
-    "le": np.less_equal,
-    "gt": np.greater,
-    "ge": np.greater_equal,
-}
 # Their results are booleans.
 COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")
 COMMUTES = {"add", "mul", "and", "or", "xor", "eq", "ne"}
@@ -141,15 +106,13 @@ class Graph:
         dtype, args = self.dtype(x), (x, y, z)
         values = [self.value(a) for a in args]
         if dtype == np.float64 and all(v is not None and np.isfinite(v) for v in values):
-            a, b, c = (Fraction(float(v)) for v in values)
-            total = a * b + c
-            return self.const(
-                float(total) if total else values[0] * values[1] + values[2], dtype
-            )
+            with np.errstate(all="ignore"):
+                return self.const(fused(*values), dtype)
         return self._number(("fma", dtype, args), Node("fma", dtype, args))
 
     def convert(self, x: int, dtype: Any) -> int:
-        """The number x as `dtype`; a float becomes an integer by truncation."""
+        """The number x as `dtype`; a float becomes an integer by truncation, that next to
+        it where it is out of range, and zero where it is no number."""
         dtype = np.dtype(dtype)
         if self.dtype(x) == dtype:
             return x
@@ -158,7 +121,7 @@ class Graph:
         value = self.value(x)
         if value is not None:
             with np.errstate(all="ignore"):
-                return self.const(value.astype(dtype), dtype)
+                return self.const(converted(value, dtype), dtype)
         return self._number(("convert", dtype, (x,)), Node("convert", dtype, (x,)))
 
     def bitcast(self, x: int, dtype: Any) -> int:
@@ -234,6 +197,9 @@ class Graph:
         if op == "div":
             if b is not None and b == 1:
                 return x
+            whole = self.dtype(y).kind in "iu"
+            if whole and b is not None and b in (0, -1):
+                return self.const(~b, self.dtype(y)) if b == 0 else self.op("neg", x)
             # A product is many times as fast, and as right but for the last bit.
             if b is not None and a is None and b.dtype.kind == "f":
                 with np.errstate(all="ignore"):
@@ -278,8 +244,10 @@ class Graph:
         for inner, rest in (node.args, node.args[::-1]):
             if self.value(inner) is not None:
                 with np.errstate(all="ignore"):
-                    both = self.const(value * self.value(inner), node.dtype)
-                return self.op("mul", both, rest)
+                    both = value * self.value(inner)
+                # Where it is out of range, the products one by one need not be.
+                if np.finfo(node.dtype).tiny <= abs(both) < np.inf:
+                    return self.op("mul", self.const(both, node.dtype), rest)
         return None
 
     def followed(

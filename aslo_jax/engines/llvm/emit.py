@@ -17,7 +17,7 @@ from ..backend.step import Step
 from ..ir.loop import Slot
 from ..ir.selection import Instruction
 from .layout import POINTERS, Layout
-from .writer import SHIFTS
+from .writer import PARTIAL
 
 
 def emit(step: Step) -> str:
@@ -73,8 +73,8 @@ class _Kernel:
         node = self.graph.nodes[number]
         if op == "table":
             return self.out.lookup(node.data, x[0], vector)
-        if op in SHIFTS:
-            return self.out.shift(op, node.dtype, x, vector, self.graph.value(args[1]))
+        if op in PARTIAL and node.dtype.kind != "f":
+            return self.out.partial(op, node.dtype, x, vector, self.graph.value(args[1]))
         return self.out.operation(op, node.dtype, self.graph.dtype(args[-1]), x, vector)
 
     # -- blocks --------------------------------------------------------------------------
@@ -89,6 +89,8 @@ class _Kernel:
             f"i64 %{a}" for a in ("first", "last", "lanes", "steps", "every")
         )
         wide = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
+        # Of 1/sqrt(x) an estimate, with a step of Newton's method, is none at x = 0.
+        wide += ' "reciprocal-estimates"="none"'
         return "\n".join(
             [
                 *(definition for _, definition in self.out.tables.values()),
@@ -241,14 +243,15 @@ class _Kernel:
         """The name of what an instruction of a step makes."""
         (number, _), op, args = instruction
         mine, position = self.layout.step.parts(number), 0
+        partial = op in PARTIAL and self.graph.dtype(number).kind != "f"
         nodes, x = [], []
         while position < len(args):
             first = args[position]
             many = max(self.layout.step.parts(first.number) // mine, 1)
             if not self._differs(first.number):
                 many = 1
-            shift = op in SHIFTS and position + many == len(args)
-            x.append(self._operand(args[position : position + many], instruction, shift))
+            literal = partial and position + many == len(args)
+            x.append(self._operand(args[position : position + many], instruction, literal))
             nodes.append(first.number)
             position += many
         return self.result(number, op, tuple(nodes), x, True)

@@ -24,6 +24,8 @@ TYPES = {
 FLAGS = "contract nsz arcp"
 BINARY = ("add", "sub", "mul", "div", "and", "or", "xor")
 SHIFTS = ("shl", "lshr", "ashr")
+# Of whole numbers, those that LLVM does not define for every second operand.
+PARTIAL = (*SHIFTS, "div")
 # A product and a sum, rounded once where the host can: which operand is negative.
 PRODUCTS = {"muladd": None, "mulsub": 2, "submul": 0}
 INTRINSICS = {
@@ -33,6 +35,7 @@ INTRINSICS = {
     "rint": "rint",
     "abs": "fabs",
     "fma": "fma",
+    "ones": "ctpop",
 }
 
 
@@ -130,6 +133,8 @@ class Writer:
             return self.define(f"xor {kind} {x[0]}, {ones}")
         if op == "abs" and not real:
             return self.call("abs", kind, x, "i1 false")
+        if op == "zeros":
+            return self.call("ctlz", kind, x, "i1 false")
         if op in INTRINSICS:
             return self.call(INTRINSICS[op], kind, x)
         if op in PRODUCTS:
@@ -145,13 +150,53 @@ class Writer:
         if op == "bitcast":
             return self.define(f"bitcast {inner} {x[0]} to {kind}")
         assert op == "convert", op
+        if real and dtype.kind in "iu":
+            return self._whole(x[0], source, dtype, vector)
         cast = _cast(source, dtype)
         return self.define(f"{cast} {inner} {x[0]} to {kind}") if cast else x[0]
 
-    def shift(
+    def _whole(self, x: str, source: np.dtype, dtype: np.dtype, vector: bool) -> str:
+        """A real number as a whole one: out of range the next one, and zero for none."""
+        name = "fptosi" if dtype.kind == "i" else "fptoui"
+        kind, inner = self.type(dtype, vector), self.type(source, vector)
+        lanes = f"v{self.width}" if vector else ""
+        suffix = f"{lanes}i{8 * dtype.itemsize}.{lanes}f{8 * source.itemsize}"
+        self.declarations.add(f"declare {kind} @llvm.{name}.sat.{suffix}({inner})")
+        return self.define(f"call {kind} @llvm.{name}.sat.{suffix}({inner} {x})")
+
+    def partial(
+        self, op: str, dtype: np.dtype, x: list[str], vector: bool, second: Any
+    ) -> str:
+        """An operation on whole numbers that LLVM does not define everywhere, defined as
+        XLA does; `second` is the second operand where that is known."""
+        if op == "div":
+            return self._quotient(dtype, x, vector, second)
+        return self._shift(op, dtype, x, vector, second)
+
+    def _quotient(self, dtype: np.dtype, x: list[str], vector: bool, divisor: Any) -> str:
+        """Towards zero. By zero it is all ones, and the least number by -1 itself."""
+        kind, signed = self.type(dtype, vector), dtype.kind == "i"
+        op = f"{_binary('div', dtype)} {kind} {x[0]},"
+        if divisor is not None and divisor not in (0, -1):
+            return self.define(f"{op} {x[1]}")
+        flag = self.type(np.bool_, vector)
+        number = lambda value: self.constant(value, dtype, vector)
+        ones = number(~dtype.type(0))
+        empty = self.define(f"icmp eq {kind} {x[1]}, {number(0)}")
+        beyond = empty
+        if signed:
+            least = self.define(f"icmp eq {kind} {x[0]}, {number(np.iinfo(dtype).min)}")
+            turned = self.define(f"icmp eq {kind} {x[1]}, {ones}")
+            wraps = self.define(f"and {flag} {least}, {turned}")
+            beyond = self.define(f"or {flag} {empty}, {wraps}")
+        safe = self.define(f"select {flag} {beyond}, {kind} {number(1)}, {kind} {x[1]}")
+        found = self.define(f"{op} {safe}")
+        return self.define(f"select {flag} {empty}, {kind} {ones}, {kind} {found}")
+
+    def _shift(
         self, op: str, dtype: np.dtype, x: list[str], vector: bool, amount: Any
     ) -> str:
-        """A shift, by `amount` where that is known. By the width or more it is poison to
+        """By `amount` where that is known. By the width or more it is poison to
         LLVM; here it leaves zero, or the sign."""
         kind, bits = self.type(dtype, vector), dtype.itemsize * 8
         if amount is not None and 0 <= amount < bits:
@@ -252,9 +297,7 @@ def _cast(source: np.dtype, target: np.dtype) -> str | None:
     """The instruction that converts numbers, `None` where the bits are the same."""
     unsigned = source.kind in "ub"
     if source.kind == "f":
-        if target.kind == "f":
-            return "fpext" if target.itemsize > source.itemsize else "fptrunc"
-        return "fptosi" if target.kind == "i" else "fptoui"
+        return "fpext" if target.itemsize > source.itemsize else "fptrunc"
     if target.kind == "f":
         return "uitofp" if unsigned else "sitofp"
     bits = 1 if source == np.bool_ else source.itemsize * 8

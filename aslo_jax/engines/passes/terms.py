@@ -17,6 +17,9 @@ from ..ir.rewrite import carries, counted, moving_roots
 
 # Factors of other sizes stay where they are: a product of two might overflow.
 MODERATE = {np.dtype(np.float64): 1e60, np.dtype(np.float32): 1e12}
+# Nor do more than so many unknown ones meet, each of which may be 1e60, or 1e18: the third
+# power of a voltage is not that of a charge times that of 1/C.
+UNKNOWN = {np.dtype(np.float64): 5, np.dtype(np.float32): 2}
 
 
 class Term(NamedTuple):
@@ -61,6 +64,7 @@ class Terms:
         self.uses = counted(loop)
         self.uniform = uniform(loop)
         self._kinds: dict[int, tuple[bool, bool]] = {}
+        self._counts: dict[int, int] = {}
         self.moving = {n: all(self.kind(n)) for n in self.numbers}
         self.kept = {loop.carry[i]: f for i, f in factors.items()}
         self.depths: dict[int, int] = {}
@@ -100,10 +104,23 @@ class Terms:
         return self.one(a) if a == b else self.graph.op("div", a, b)
 
     def moderate(self, factor: int) -> bool:
-        value, bound = self.value(factor), MODERATE.get(self.graph.dtype(factor))
-        if bound is None or all(self.kind(factor)):
+        dtype, value = self.graph.dtype(factor), self.value(factor)
+        if dtype not in MODERATE or all(self.kind(factor)):
             return False
-        return value is None or 1.0 / bound <= abs(value) <= bound
+        if value is None:
+            return self.unknown(factor) <= UNKNOWN[dtype]
+        return 1.0 / MODERATE[dtype] <= abs(value) <= MODERATE[dtype]
+
+    def unknown(self, factor: int) -> int:
+        """How many unknown numbers are multiplied or divided in a factor."""
+
+        def count(n: int) -> int:
+            node = self.graph.nodes[n]
+            if node.op in ("mul", "div", "neg"):
+                return sum(self._counts[a] for a in node.args)
+            return 0 if node.op == "const" else 1
+
+        return self.graph.followed(factor, self._counts, count)
 
     def multiplier(self, product: int, number: int) -> int | None:
         """What a product multiplies a node by, if that is a constant."""

@@ -36,6 +36,7 @@ def _in_right_angles(coefficients: tuple[float, ...], power: int) -> tuple[float
     )
 
 
+BOUND = 0.8  # above pi/4 and what rounding adds to it
 SIN_OF_RIGHT = _in_right_angles((*SIN, 1.0), 1)  # without the first factor of the sine
 COS_OF_RIGHT = _in_right_angles((*COS, -0.5, 1.0), 0)
 
@@ -78,6 +79,9 @@ def _of_given(x: Expression) -> tuple[Expression, Expression, Expression]:
     r = x
     for part in form.half_pi:
         r = n.times_plus(-part, r)
+    # Of an angle with fewer digits than the multiple has, any rest within its bounds will
+    # do: sine and cosine stay those of one angle.
+    r = where(r > BOUND, BOUND, where(r < -BOUND, -BOUND, r))
     z = r * r
     sine = (r * z).times_plus(horner(z, SIN), r)
     cosine = horner(z, (*COS, -0.5, 1.0))
