@@ -150,7 +150,7 @@ REALS = [
         bounded({0}) % 0.7
         1.0 / {0}
         {0}.astype(jnp.float32).astype(F)
-        jnp.piecewise({0}, [{0} < -0.5, {0} > 0.5], [lambda z: -z, lambda z: R(z**2), 2])""",
+        jnp.piecewise({0}, [{0} < -0.5, {0} > 0.5], [lax.neg, lambda z: R(z**2), 2])""",
     ),
     *_all(
         "F",

@@ -4,14 +4,15 @@ The oracle is the engine "scan", in several runs of every lane: one as the progr
 the others with each rounded intermediate value moved by a random part of `SHARE` units in
 the last place, in pairs that move oppositely, and each zero of random sign. Where all runs
 have one whole number or boolean, it is settled, and the fused engine must have it; where
-they have finite numbers, it must be within twice the largest distance that a run moved; where
-they are infinite alike, or no numbers, so must it be. A few units in the last place are granted
-besides, since a state may be kept in other units than its own. A choice by a comparison of rounded
-numbers that is within rounding of a tie is made differently by one run of a pair, and what
-depends on it is not compared there.
+they have finite numbers, it must be within twice the largest distance that a run moved;
+where they are infinite alike, or no numbers, so must it be. A few units in the last place
+are granted besides, since a state may be kept in other units than its own. A choice by a
+comparison of rounded numbers that is within rounding of a tie is made differently by one
+run of a pair, and what depends on it is not compared there.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -158,16 +159,13 @@ def _judged(
 def _same_bits(found: Outcome, code: Code, fused: Runner, samples: Any, whole: Any) -> None:
     """For any number of lanes and threads, and vectors of another size."""
     rng = np.random.default_rng(code.seed)
-    turned = Runner.__new__(Runner)  # the same program, by two threads
-    vars(turned).update(vars(fused))
     for lanes in LANES:
-        if lanes == ORACLE:
-            continue
-        chosen = (
-            np.arange(lanes) % ORACLE if lanes > ORACLE else rng.permutation(ORACLE)[:lanes]
-        )
-        fused._fused.threads = 1 + lanes % 2 if lanes < 100 else 2
-        _equal(found, _at(whole, chosen), fused(_at(samples, chosen)), f"of {lanes} lanes")
+        chosen = np.resize(rng.permutation(ORACLE), lanes)
+        part = _at(samples, chosen)
+        for threads in (1, 2):
+            fused._fused.threads = threads
+            what = f"of {lanes} lanes, {threads} threads"
+            _equal(found, _at(whole, chosen), fused(part), what)
     fused._fused.threads = 1
     width, register = WIDTHS[code.seed % len(WIDTHS)]
     made = fused._fused.program
@@ -203,11 +201,11 @@ def _bits(x: Any) -> bytes:
 
 
 def _derivatives(
-    found: Outcome, code: Code, fused: Runner, scan: Runner, samples: Any
+    found: Outcome, code: Code, fused: Runner, scan: Callable, samples: Any
 ) -> None:
-    """The values too, and beside those alone. In three real leaves of the samples at once, of all that is
-    real. Moved runs move these and their rates too. Terms of a rule, such as those of
-    1 - tanh(x)², which no mark reaches, may cancel: errors count beside the largest
+    """In three real leaves of the samples at once, of all that is real; beside them the
+    values too. Moved runs move these leaves and their rates. Terms of a rule, such as those
+    of 1 - tanh(x)², which no mark reaches, may cancel: errors count beside the largest
     derivative of a lane."""
 
     def push(runner, samples):

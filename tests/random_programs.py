@@ -150,7 +150,7 @@ def reduced(code: Code, fails: Callable[[Code], bool]) -> Code:
         kept = tuple(k for k in code.kept if k[0] != name)
         return code._replace(lines=change(code.lines), ends=change(code.ends), kept=kept)
 
-    for k, (name, _) in reversed(list(enumerate(code.kept))):
+    for k in reversed(range(len(code.kept))):
         smaller = code._replace(kept=code.kept[:k] + code.kept[k + 1 :])
         code = smaller if fails(smaller) else code
     for k, line in enumerate(code.ends):
@@ -174,6 +174,9 @@ from jax import lax
 F = jnp.{real}
 R = E = lambda x, *site: x
 T = jnp.asarray(np.sin(np.arange(80.0) ** 1.3), F)
+# Quotients for whose remainder there are digits enough, and special ones.
+bounded = lambda x: jnp.where(jnp.abs(x) < 1e9, x, jnp.inf)
+divisor = lambda x: jnp.where(jnp.abs(x) < 1e-9, 0.0, x)
 
 def begin(p):
     carry = dict(

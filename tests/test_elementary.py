@@ -55,7 +55,11 @@ CASES = {
     "atanh": (jnp.arctanh, np.arctanh, [uniform(-1, 1), spread(-30, -1), EDGES]),
     "cbrt": (jnp.cbrt, np.cbrt, [spread(-37, 37), uniform(-3, 3), EDGES]),
     "erf": (jax.lax.erf, one_by_one(math.erf), [uniform(-6, 6), spread(-30, 0), EDGES]),
-    "erfc": (jax.lax.erfc, one_by_one(math.erfc), [uniform(-6, 9), uniform(0.4, 1.1), EDGES]),
+    "erfc": (
+        jax.lax.erfc,
+        one_by_one(math.erfc),
+        [uniform(-6, 9), uniform(0.4, 1.1), EDGES],
+    ),
     "logistic": (
         jax.nn.sigmoid,
         lambda x: 1 / (1 + np.exp(-x)),
