@@ -27,6 +27,7 @@ from aslo_jax.engines.fused.program import Program as Loop
 LANES = (1, 3, 7, 65, 1025)
 ORACLE = 65  # lanes of the oracle; those beyond repeat them
 PAIRS = 3  # of moved runs
+NOISE = ("near", "turned", "over", "sign")  # what `Moved` is made of
 SHARE = 32.0
 WIDTHS = ((4, 32), (8, 64), (16, 64), (8, 32), (32, 64), (2, 32))  # lanes, bytes
 
@@ -87,13 +88,14 @@ def _noise(code: Code, seed: int) -> dict[str, np.ndarray]:
     F = np.dtype(code.real)
     shape = (ORACLE, SITES + 12)
     if not seed:
-        return {name: np.ones(shape, F) for name in ("near", "turned", "sign")}
+        return {name: np.ones(shape, F) for name in NOISE}
     rng = np.random.default_rng([code.seed, (seed + 1) // 2])
     part, sign = rng.uniform(-1, 1, shape), rng.choice([-1, 1], shape)
     turned = 1 if seed % 2 else -1
     near = (1 + turned * SHARE * np.finfo(F).eps * part).astype(F)
     sign = (turned * sign).astype(F)
-    return {"near": near, "turned": sign * near, "sign": sign}
+    over = np.full(shape, 1.0 if seed % 2 else np.inf, F)
+    return dict(zip(NOISE, (near, sign * near, over, sign), strict=True))
 
 
 def _runs(code: Code, call: Any, samples: dict[str, Any]) -> Any:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from operations import HALVES, OPERATIONS, SMOOTH, Operation
 
+LARGE = 2.0**-20  # of the largest number: what is scaled may overflow sooner, or later
 SITES = 61  # roundings that the oracle moves apart from each other
 CARRY = {"F": 4, "V": 1, "I": 2, "L": 1, "U": 1, "B": 1}
 DTYPES = {"I": "jnp.int32", "L": "jnp.int64", "U": "jnp.uint32", "B": "bool"}
@@ -218,7 +219,8 @@ def _made(line: Line) -> str:
 
 class Moved:
     """The marks of roundings, for one lane of the oracle: `R` moves a number by a part of
-    itself, and gives a zero a sign; `E` does only the latter. Counts its places, each
+    itself, one that is nearly too large to infinity, and gives a zero a sign; `E` does only
+    the last. Counts its places, each
     with numbers of its own, as a step is traced."""
 
     def __init__(self, noise: dict[str, jax.Array]):
@@ -230,7 +232,10 @@ class Moved:
     def R(self, x: jax.Array) -> jax.Array:
         place, self.places = self.places % SITES, self.places + 1
         at = lambda name: self._at(x, name, place)
-        return x * jnp.where(x == 0, at("turned"), at("near"))
+        near = jnp.where(
+            jnp.abs(x) < LARGE * jnp.finfo(x.dtype).max, at("near"), at("over")
+        )
+        return x * jnp.where(x == 0, at("turned"), near)
 
     def E(self, x: jax.Array) -> jax.Array:
         place, self.places = self.places % SITES, self.places + 1
@@ -306,8 +311,7 @@ def sampled(seed: int, real: str, lanes: int) -> dict[str, Any]:
     F = np.dtype(real)
     limits = np.finfo(F)
     specials = [0.0, -0.0, np.inf, -np.inf, np.nan, 1.0, -1.0, 0.5, 1e20, -3e9, 300.0]
-    # A scaled state overflows a little before or after one that is not.
-    large = limits.max / 2.0**20
+    large = limits.max * LARGE
     specials += [large, -large, limits.tiny * 2.0**20, 2.0**31, -(2.0**63), 1e-13]
     whole = lambda dtype: [0, 1, np.iinfo(dtype).max, np.iinfo(dtype).min, 31, 32, 64]
 
