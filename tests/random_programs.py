@@ -111,7 +111,7 @@ def generate(seed: int) -> Code:
                 text = text.replace(mark, str(rng.choice(values)), 1)
         return text
 
-    for n in range(rng.randint(10, 24)):
+    for n in range(rng.randint(10, 20)):
         operation: Operation = rng.choices(menu, weights)[0]
         text = filled(operation.text, operation.result)
         if operation.rounding == "M":
