@@ -75,6 +75,7 @@ def pytest_configure(config: pytest.Config) -> None:
 # The modules that take longest, in this order and before all others, so that the workers,
 # which take a module at a time (--dist=loadfile), end together.
 LONGEST = (
+    "test_random_programs",
     "test_battery",
     "test_notebooks",
     "test_velocity",
