@@ -145,6 +145,16 @@ class PrescribedMechanism(eqx.Module):
         return (5.0 * u[0] + 8.0 * u[1] + 5.0 * u[2]) / 18.0
 
 
+class Together(aslo.AbstractObserver):
+    """Several observers in one pass, so that they are compiled and integrated at once."""
+
+    observers: dict[str, aslo.AbstractObserver]
+
+    def equations(self, F, u, y):
+        pairs = self.observers.items()
+        return {name: o.equations(F.scope(name), u, y) for name, o in pairs}
+
+
 @eqx.filter_jit
 def observe(
     observer: aslo.AbstractObserver,

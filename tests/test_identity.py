@@ -1,11 +1,13 @@
 """The exact start: the estimate is the state for every t > 0, to the library's bounds."""
 
+import functools
+
 import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from motion import PrescribedPMSM, observe
+from motion import PrescribedPMSM, Together, observe
 
 import aslo_jax as aslo
 from aslo_jax.filters import second_order, sinusoid_rejecting
@@ -27,98 +29,130 @@ def simulate(plant, u, observers, **settings):
     return jax.jit(run)()
 
 
-def flux_error(completion, filter=None, **settings):
-    motor = PrescribedPMSM()
-    filter = aslo.LowPass(5.0) if filter is None else filter
-    observer = aslo.AlgebraicObserver(motor.relation(), filter, completion, **settings)
-    estimate = observe(observer, motor.voltage, motor.current, TS)
-    return jnp.linalg.norm(estimate.value - jax.vmap(motor.flux)(TS), axis=1), estimate
+FILTERS = {
+    "low pass": aslo.LowPass(3.0),
+    "second order": second_order(2.0),
+    "sinusoid rejecting": sinusoid_rejecting(3.0, 5.0),
+}
 
 
-@pytest.mark.parametrize(
-    "filter", [aslo.LowPass(3.0), second_order(2.0), sinusoid_rejecting(3.0, 5.0)]
-)
-@pytest.mark.parametrize("completion", [aslo.Repeat(), aslo.LeastSquares()])
-def test_double_integrator_from_one_millisecond(filter, completion):
-    low_pass, squared = isinstance(filter, aslo.LowPass), False
-    if isinstance(completion, aslo.LeastSquares) and not low_pass:
-        squared = True
+def completed(filter, completion):
+    """Of the double integrator; least squares with a low-pass filter of its own beside a
+    filter of higher order."""
+    if isinstance(completion, aslo.LeastSquares) and not isinstance(filter, aslo.LowPass):
         completion = aslo.LeastSquares(forgetting=aslo.LowPass(4.0))
-    plant = aslo.plants.IntegratorChain(2)
-    observer = aslo.AlgebraicObserver(plant.relation(), filter, completion)
-    solution = simulate(
-        plant,
+    relation = aslo.plants.IntegratorChain(2).relation()
+    return aslo.AlgebraicObserver(relation, filter, completion)
+
+
+COMPLETIONS = {"repeat": aslo.Repeat(), "least squares": aslo.LeastSquares()}
+
+
+@functools.cache
+def double_integrator():
+    """All observers of it in one run."""
+    pairs = [(f, c) for f in FILTERS for c in COMPLETIONS]
+    return simulate(
+        aslo.plants.IntegratorChain(2),
         lambda t: jnp.cos(0.02 * t) + 0.3 * jnp.sin(2 * t),
-        {"ASLO": observer},
+        {f"{f}, {c}": completed(FILTERS[f], COMPLETIONS[c]) for f, c in pairs},
         initial=jnp.array([0.7, -0.4]),
     )
+
+
+@pytest.mark.parametrize("filter", FILTERS)
+@pytest.mark.parametrize("completion", COMPLETIONS)
+def test_double_integrator_from_one_millisecond(filter, completion):
+    solution, name = double_integrator(), f"{filter}, {completion}"
     # M of a second-order F[1] ~ t^2 is 1e-12 at 1 ms: certified from 2 ms on.
+    squared = completion == "least squares" and filter != "low pass"
     certified = TS >= 2e-3 if squared else TS > 0
-    assert jnp.abs(solution.error("ASLO"))[certified].max() < 1e-9
-    assert not solution.estimates["ASLO"].coasting[certified].any()
+    assert jnp.abs(solution.error(name))[certified].max() < 1e-9
+    assert not solution.estimates[name].coasting[certified].any()
 
 
-def test_pmsm_by_repeating_from_ten_milliseconds():
-    error, estimate = flux_error(aslo.Repeat())
-    assert error[TS >= 1e-2].max() < 1e-7
-    assert not estimate.coasting[TS >= 1e-2].any()
+MOTOR = PrescribedPMSM()
 
 
-def test_pmsm_by_a_filter_bank_from_ten_milliseconds():
-    error, _ = flux_error(aslo.FilterBank([aslo.LowPass(11.0)]))
-    assert error[TS >= 1e-2].max() < 1e-7
+@functools.cache
+def pmsm():
+    """Observers of the motor's flux in one run, and their errors (Wb)."""
+
+    def observer(*completion, **settings):
+        return aslo.AlgebraicObserver(
+            MOTOR.relation(), aslo.LowPass(5.0), *completion, **settings
+        )
+
+    further = aslo.LowPass(11.0)
+    observers = {
+        "repeat": observer(aslo.Repeat()),
+        "bank": observer(aslo.FilterBank([further])),
+        "overdetermined": observer(aslo.FilterBank([further, second_order(8.0)])),
+        "least squares": observer(aslo.LeastSquares()),
+        "paper": observer(aslo.Repeat(), start="paper", guard=None),
+    }
+    estimates = observe(Together(observers), MOTOR.voltage, MOTOR.current, TS)
+    truth = jax.vmap(MOTOR.flux)(TS)
+    return estimates, {
+        name: jnp.linalg.norm(found.value - truth, axis=1)
+        for name, found in estimates.items()
+    }
 
 
-def test_pmsm_by_an_overdetermined_bank():
-    error, _ = flux_error(aslo.FilterBank([aslo.LowPass(11.0), second_order(8.0)]))
-    assert error[TS >= 1e-2].max() < 1e-7
+@pytest.mark.parametrize("name", ["repeat", "bank", "overdetermined"])
+def test_pmsm_from_ten_milliseconds(name):
+    estimates, errors = pmsm()
+    assert errors[name][TS >= 1e-2].max() < 1e-7
+    assert not estimates[name].coasting[TS >= 1e-2].any()
 
 
 def test_pmsm_by_least_squares_from_a_tenth_of_a_second():
-    error, estimate = flux_error(aslo.LeastSquares())
-    assert error[TS >= 0.1].max() < 1e-8
-    assert not estimate.coasting[TS >= 0.1].any()
+    estimates, errors = pmsm()
+    assert errors["least squares"][TS >= 0.1].max() < 1e-8
+    assert not estimates["least squares"].coasting[TS >= 0.1].any()
 
 
 def test_pmsm_without_the_magnet_flux():
-    motor = PrescribedPMSM()
-    relation = aslo.plants.FluxRelation(motor.resistance, motor.inductance)
+    relation = aslo.plants.FluxRelation(MOTOR.resistance, MOTOR.inductance)
     observer = aslo.AlgebraicObserver(relation, aslo.LowPass(5.0))
-    estimate = observe(observer, motor.voltage, motor.current, SECONDS)
-    np.testing.assert_allclose(estimate.value, jax.vmap(motor.flux)(SECONDS), atol=1e-8)
+    estimate = observe(observer, MOTOR.voltage, MOTOR.current, SECONDS)
+    np.testing.assert_allclose(estimate.value, jax.vmap(MOTOR.flux)(SECONDS), atol=1e-8)
 
 
 def test_pmsm_paper_start_reproduces_the_printed_transient():
     # Below 2e-2, 5e-4, 1e-8 Wb at 1, 2, 5 s; off by more than a tenth at 20 ms.
-    error, _ = flux_error(aslo.Repeat(), start="paper", guard=None)
-    bounds = dict(zip(TS.tolist(), error.tolist(), strict=True))
+    _, errors = pmsm()
+    bounds = dict(zip(TS.tolist(), errors["paper"].tolist(), strict=True))
     assert bounds[1.0] < 2e-2 and bounds[2.0] < 5e-4 and bounds[5.0] < 1e-8
     assert bounds[2e-2] > 0.1
 
 
-@pytest.mark.parametrize("order", [3, 4, 5])
-@pytest.mark.parametrize(
-    "completion",
-    [
-        aslo.Repeat(),
-        aslo.LeastSquares(),
-        aslo.FilterBank([aslo.LowPass(r) for r in (3.0, 4.0, 6.5, 8.0)]),
-    ],
-    ids=["repeat", "least squares", "bank"],
-)
-def test_chain_of_any_order(order, completion):
+BANK = aslo.FilterBank([aslo.LowPass(r) for r in (3.0, 4.0, 6.5, 8.0)])
+
+
+@functools.cache
+def chain(order):
+    """A chain of integrators with an observer for each completion, in one run."""
     plant = aslo.plants.IntegratorChain(order)
-    observer = aslo.AlgebraicObserver(plant.relation(), aslo.LowPass(5.0), completion)
-    solution = simulate(
+    return simulate(
         plant,
         lambda t: jnp.sin(1.3 * t),
-        {"ASLO": observer},
+        {
+            name: aslo.AlgebraicObserver(plant.relation(), aslo.LowPass(5.0), completion)
+            for name, completion in (COMPLETIONS | {"bank": BANK}).items()
+        },
         initial=jnp.array([0.3, 0.1, -0.2, 0.5, 0.2])[:order],
     )
-    error = jnp.abs(solution.error("ASLO")).max(axis=1)
+
+
+@pytest.mark.parametrize("order", [3, 4, 5])
+@pytest.mark.parametrize("completion", [*COMPLETIONS, "bank"])
+def test_chain_of_any_order(order, completion):
+    solution = chain(order)
+    error = jnp.abs(solution.error(completion)).max(axis=1)
     assert error[TS >= 0.5].max() < 1e-7
     # The certificate sees the noise gain t^-(n-1) of the start.
-    growth = jnp.diff(jnp.log(solution.estimates["ASLO"].certificate[3:9]))
+    growth = jnp.diff(jnp.log(solution.estimates[completion].certificate[3:9]))
     assert (growth > 1).all()
 
 
