@@ -44,6 +44,21 @@ def positive(name: str, x: Array | np.ndarray | float, unit: str = "") -> None:
         )
 
 
+def kind(name: str, x: Any, *kinds: type, hint: str) -> None:
+    """Refuse an `x` that is none of the `kinds`; the `hint` says what it should be. What a
+    transformation of a tree puts in the place of a leaf passes."""
+    if isinstance(x, kinds) or x is None or type(x) is object:
+        return
+    raise unlike(name, x, hint)
+
+
+def unlike(name: str, x: Any, hint: str) -> ValueError:
+    """The error of an `x` that is not what the `hint` says."""
+    plain = isinstance(x, bool | int | float | str)
+    got = repr(x) if plain else f"a `{type(x).__name__}`"
+    return ValueError(f"Argument `{name}` must be {hint}, but got {got}.")
+
+
 def whole(name: str, x: int) -> None:
     """Refuse an `x` that is not at least one."""
     if x < 1:

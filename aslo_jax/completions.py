@@ -1,11 +1,13 @@
 """Completions: from one row `r'x = b` to an estimate of all n entries of x."""
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ._checks import kind
 from ._small import safe_reciprocal, solve_definite, solve_rows
 from .filters import AbstractFilter, LowPass
 from .realise import Pass
@@ -44,6 +46,14 @@ class Repeat(AbstractCompletion):
         return _solve(rows)
 
 
+def _several(filters: Any) -> tuple[AbstractFilter, ...]:
+    if not isinstance(filters, list | tuple):
+        kind("filters", filters, list, hint="a list of filters")
+    for k, each in enumerate(filters):
+        kind(f"filters[{k}]", each, AbstractFilter, hint="a filter")
+    return tuple(filters)
+
+
 class FilterBank(AbstractCompletion):
     """One further row for each of `filters`, at least n - 1 of them; more than that are
     solved in the sense of least squares.
@@ -51,7 +61,7 @@ class FilterBank(AbstractCompletion):
     Source: paper, O7 and conclusions ("different filters"); theory, section 3.
     """
 
-    filters: tuple[AbstractFilter, ...] = eqx.field(converter=tuple)
+    filters: tuple[AbstractFilter, ...] = eqx.field(converter=_several)
 
     def __call__(self, F, row):
         n = row.r.shape[-1]

@@ -8,10 +8,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
-from ._checks import divides, positive, real
+from ._checks import divides, kind, positive, real
 from .control import AbstractController
+from .control.base import controlled
 from .disturbances import AbstractDisturbance, DisturbanceState, check_streams
 from .observers import AbstractObserver, ObserverState
+from .observers.base import check_observers
 from .plants import AbstractPlant
 from .solvers import runge_kutta
 
@@ -45,6 +47,7 @@ class Carry(eqx.Module):
 class Experiment(eqx.Module):
     """A plant under a sampled controller with observers beside it.
 
+    - `controller`: a controller, or a function of time (s) for an open loop;
     - `interval`: between samples (s); the input is held in between;
     - `feedback(y, x, estimates)`: what the controller is fed; y by default. Estimates are
       then needed before there is an input, so u must have the shape of
@@ -59,8 +62,8 @@ class Experiment(eqx.Module):
     """
 
     plant: AbstractPlant
-    controller: AbstractController
-    observers: dict[str, AbstractObserver]
+    controller: AbstractController = eqx.field(converter=controlled)
+    observers: dict[str, AbstractObserver] = eqx.field(converter=dict)
     interval: Float[Array, ""] = eqx.field(converter=real)
     feedback: Callable[[PyTree, PyTree, dict[str, Any]], PyTree] | None = None
     actuator: AbstractDisturbance | None = None
@@ -71,6 +74,8 @@ class Experiment(eqx.Module):
 
     def __check_init__(self):
         positive("interval", self.interval, "s")
+        kind("plant", self.plant, AbstractPlant, hint="a plant")
+        check_observers(self.observers)
         if self.plant_steps < 1:
             raise ValueError(
                 f"Argument `plant_steps` must be at least 1, but got {self.plant_steps}."

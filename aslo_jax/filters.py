@@ -12,6 +12,7 @@ import math
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
@@ -120,6 +121,12 @@ class LowPass(AbstractFilter):
 
     def __check_init__(self):
         positive("rate", self.rate, "rad/s")
+        if jnp.ndim(self.rate) and isinstance(self.rate, jax.Array):
+            raise ValueError(
+                "Argument `rate` must be a number (rad/s), but got an array of shape "
+                f"{self.rate.shape}; make one filter for each rate, by `jax.vmap` or in a "
+                "`FilterBank`."
+            )
 
     @property
     def strictly_proper(self):

@@ -19,6 +19,15 @@ States = dict[str, Any]
 Drive = PyTree | Callable[[PyTree], PyTree]
 
 
+def _found(states: States, name: str) -> PyTree:
+    if name not in states:
+        raise ValueError(
+            f"Argument `state` must be a state of this observer, which has `{name}`, but "
+            f"it holds {sorted(states)}; begin with `init`, or restore the right one."
+        )
+    return states[name]
+
+
 def _at(drive: Drive, X: PyTree) -> PyTree:
     return drive(X) if callable(drive) else drive
 
@@ -96,7 +105,7 @@ class Flow(AbstractRealisation):
         self.drives: States = {}
 
     def evolve(self, name, law, drive, start):
-        X = self.states[name]
+        X = _found(self.states, name)
         v = _at(drive, X)
         self.rates[name] = law.flow(X, v)
         self.drives[name] = v
@@ -106,7 +115,7 @@ class Flow(AbstractRealisation):
         def close(drive):
             return self.evolve(name, law, drive, start)
 
-        return self.states[name], close
+        return _found(self.states, name), close
 
 
 class Advance(AbstractRealisation):

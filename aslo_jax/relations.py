@@ -12,8 +12,9 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
+from ._signals import check_signals
 from .realise import Pass
 
 
@@ -41,6 +42,23 @@ class AbstractTerms(eqx.Module):
     @abc.abstractmethod
     def row(self, F: Pass) -> Row:
         """The relation as a row `r'x = b` free of unmeasured derivatives."""
+
+    def check(self, relation: Callable[..., "AbstractTerms"]) -> None:
+        """Refuse terms that have broadcast: of `relation`, which is named."""
+        if self.z.ndim != 1:
+            raise ValueError(
+                f"The term `z` of a relation must have the shape (n,) of the state, but "
+                f"{_name(relation)} gives {self.z.shape}; check the shapes of `u` and `y`."
+            )
+        n = self.z.shape[0]
+        for name, shape in (("c", (n,)), ("d", ()), ("s", ()), ("A", (n, n))):
+            term = getattr(self, name, None)
+            if term is not None and jnp.shape(term) != shape:
+                raise ValueError(
+                    f"The term `{name}` of a relation must have the shape {shape} beside a "
+                    f"`z` of shape {(n,)}, but {_name(relation)} gives {jnp.shape(term)}; "
+                    "check the shapes of `u` and `y`."
+                )
 
     def drift(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
         """The known derivative `A x + z` at `x` (units of x per second)."""
@@ -117,6 +135,21 @@ class Quadratic(AbstractTerms):
         r = k - one * self.c
         b = one * self.d + F.output(W)
         return Row(r, b, self.z, None, jnp.abs(k) + jnp.abs(one * self.c))
+
+
+def terms_of(relation: Callable[..., AbstractTerms], u: PyTree, y: PyTree) -> AbstractTerms:
+    """The terms of a relation at `u` and `y`, whose shapes, and those of the terms, are
+    what the relation declares and what its kind of terms has.
+
+    **Raises:** `ValueError` for a signal, or terms, of another shape."""
+    check_signals(relation, type(relation).__call__, u, y)
+    terms = relation(u, y)
+    terms.check(relation)
+    return terms
+
+
+def _name(relation: Callable[..., AbstractTerms]) -> str:
+    return f"`{getattr(relation, '__name__', type(relation).__name__)}`"
 
 
 def contract(X: Float[Array, "*order n"], z: Float[Array, " n"]) -> Float[Array, "*order"]:

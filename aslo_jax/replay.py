@@ -59,7 +59,7 @@ def replay(
         raise ValueError(
             f'Argument `engine` must be "scan" or "fused", but got {engine!r}.'
         )
-    u, y = jax.tree.map(real, (u, y))
+    u, y = _signal("u", u), _signal("y", y)
     # Concrete instants keep the precision they came with until intervals are taken: JAX's
     # single precision resolves 1 ms after 10,000 s.
     instants = np.asarray(t) if is_concrete(t) else jnp.asarray(t)
@@ -129,6 +129,22 @@ def _begun(observer, t0, u, y, state):
     u0, y0 = jax.tree.map(lambda s: s[0], (u, y))
     state = observer.init(y0, u0) if state is None else state
     return state, observer.estimate(t0, state, u0, y0)
+
+
+def _signal(name: str, signal: PyTree) -> PyTree:
+    """Arrays of real numbers."""
+    for leaf in jax.tree.leaves(signal):
+        if not hasattr(leaf, "dtype"):
+            raise ValueError(
+                f"Argument `{name}` must hold arrays, but one of its leaves is the "
+                f"{type(leaf).__name__} {leaf!r}; convert a list by `np.asarray`."
+            )
+        if np.issubdtype(leaf.dtype, np.complexfloating):
+            raise ValueError(
+                f"Argument `{name}` must be real, but got {leaf.dtype}; stack real and "
+                "imaginary parts, alpha and beta, along the last axis."
+            )
+    return jax.tree.map(real, signal)
 
 
 def _check_shapes(t: Array | np.ndarray, u: PyTree, y: PyTree) -> None:

@@ -10,11 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from ._checks import is_concrete
+from ._checks import is_concrete, kind
 from ._jumps import Span, between_jumps, span
-from .control import AbstractController, OpenLoop
+from .control import AbstractController
+from .control.base import controlled
 from .disturbances import AbstractDisturbance, DisturbanceState, check_streams
 from .observers import AbstractObserver, ObserverState
+from .observers.base import check_observers
 from .plants import AbstractPlant
 
 
@@ -198,8 +200,9 @@ def simulate(
     **Raises:** `ValueError` for a span, instants or a step that do not fit; diffrax's own
     error when the solver fails.
     """
-    if not isinstance(controller, AbstractController):
-        controller = OpenLoop(controller)
+    controller = controlled(controller)
+    kind("plant", plant, AbstractPlant, hint="a plant")
+    check_observers(observers)
     if is_concrete(t0, t1) and not t0 < t1:
         raise ValueError(f"Argument `t1` must be after t0 = {t0} s, but got {t1} s.")
     if ts is None:

@@ -2,9 +2,13 @@
 
 import abc
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 from jaxtyping import Array, Float, PyTree
+
+from .._checks import unlike
+from ..plants import AbstractPlant
 
 
 class AbstractController(eqx.Module):
@@ -27,6 +31,18 @@ class AbstractController(eqx.Module):
     @abc.abstractmethod
     def __call__(self, t: Float[Array, ""], state: PyTree, fed: PyTree) -> PyTree:
         """The input u at time t (s)."""
+
+
+def controlled(controller: Any) -> AbstractController:
+    """A controller as it is, a function of time as [`OpenLoop`][].
+
+    **Raises:** `ValueError` for what is neither."""
+    if isinstance(controller, AbstractController):
+        return controller
+    if callable(controller) and not isinstance(controller, AbstractPlant):
+        return OpenLoop(controller)
+    hint = "a controller, or a function of time (s) for an open loop"
+    raise unlike("controller", controller, hint)
 
 
 class OpenLoop(AbstractController):

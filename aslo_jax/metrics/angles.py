@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from .._checks import nonnegative, real
 from ..experiment import Record
 from ..observers import electrical_angle, wrap
-from .base import AbstractComposed, size
+from .base import AbstractComposed, estimate_of, size
 from .functions import Maximum, Mean
 
 
@@ -23,7 +23,7 @@ class FluxAngle(eqx.Module):
     inductance: Float[Array, ""] = eqx.field(converter=real)
 
     def __call__(self, record: Record) -> Float[Array, ""]:
-        flux = record.estimates[self.observer].value[:2]
+        flux = estimate_of(record, self.observer).value[:2]
         return electrical_angle(flux - self.inductance * record.y[:2])
 
 

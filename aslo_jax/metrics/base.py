@@ -1,6 +1,7 @@
 """The protocol of every metric."""
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -44,9 +45,19 @@ class AbstractComposed(AbstractMetric):
         return self.inner().update(state, record)
 
 
+def estimate_of(record: Record, observer: str) -> Any:
+    """The estimate of an observer of the experiment."""
+    if observer not in record.estimates:
+        raise ValueError(
+            f"Argument `observer` of a metric must be one of {sorted(record.estimates)}, "
+            f"the observers of the experiment, but got {observer!r}."
+        )
+    return record.estimates[observer]
+
+
 def error_of(record: Record, observer: str) -> Float[Array, " n"]:
     """Estimate less truth, in the units of the state."""
-    return record.estimates[observer].value - record.hidden
+    return estimate_of(record, observer).value - record.hidden
 
 
 def squares_of(record: Record, observer: str, norm: bool) -> Float[Array, "*n"]:

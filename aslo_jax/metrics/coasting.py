@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from .base import AbstractMetric
+from .base import AbstractMetric, estimate_of
 
 
 class CoastingFraction(AbstractMetric):
@@ -12,7 +12,7 @@ class CoastingFraction(AbstractMetric):
     observer: str = eqx.field(static=True)
 
     def init(self, record):
-        coasts = record.estimates[self.observer].coasting
+        coasts = estimate_of(record, self.observer).coasting
         one = jnp.ones_like(record.t)
         return one, jnp.where(coasts, one, 0.0)
 

@@ -6,12 +6,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from .._checks import known_start, optional_real
+from .._checks import kind, known_start, optional_real
 from ..completions import AbstractCompletion, LeastSquares
 from ..filters import AbstractFilter
 from ..guard import Guard
 from ..realise import Pass
-from ..relations import AbstractTerms
+from ..relations import AbstractTerms, terms_of
 from .base import AbstractObserver, Estimate
 
 
@@ -42,10 +42,16 @@ class AlgebraicObserver(AbstractObserver):
 
     def __check_init__(self):
         known_start(self.start)
+        if not callable(self.relation):
+            kind("relation", self.relation, hint="a relation, `relation(u, y)`")
+        law = "a filter such as `LowPass(20.0)`"
+        kind("filter", self.filter, AbstractFilter, hint=law)
+        kind("completion", self.completion, AbstractCompletion, hint="a completion")
+        kind("guard", self.guard, Guard, hint="a `Guard` or `None`")
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
         F = F.using(self.filter, self.start)
-        terms = self.relation(u, y)
+        terms = terms_of(self.relation, u, y)
         row = terms.row(F.scope("row"))
         x, certificate = self.completion(F.scope("completion"), row)
         if self.guard is None:

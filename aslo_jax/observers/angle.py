@@ -4,14 +4,14 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from .._checks import known_start, optional_real, real
+from .._checks import kind, known_start, optional_real, real
 from .._small import safe_reciprocal
 from ..completions import AbstractCompletion, LeastSquares
 from ..filters import AbstractFilter
 from ..guard import Guard
 from ..plants.pmsm import FluxRelation
 from ..realise import Pass
-from ..relations import Row
+from ..relations import Row, terms_of
 from .base import AbstractObserver, Estimate
 from .compose import Staged
 from .pll import PhaseLockedLoop
@@ -96,11 +96,13 @@ class AlgebraicMagnet(AbstractObserver):
 
     def __check_init__(self):
         known_start(self.start)
+        law = "a filter such as `LowPass(20.0)`"
+        kind("filter", self.filter, AbstractFilter, hint=law)
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
         F = F.using(self.filter, self.start)
         L, m = self.relation.inductance, self.relation.magnet_flux
-        terms = self.relation(u, y)
+        terms = terms_of(self.relation, u, y)
         row = terms.row(F.scope("row"))
         ry, zero = jnp.sum(row.r * y), jnp.zeros_like(row.z)
         x, certificate = self.completion(

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
-from .._checks import optional_real, positive, real
+from .._checks import kind, optional_real, positive, real
 from .._small import safe_reciprocal
 from ..filters import AbstractLaw, LowPass
 from ..realise import Pass
@@ -87,9 +87,10 @@ class Asymptotic(AbstractObserver):
 
     def __check_init__(self):
         positive("gain", self.gain, "rad/s")
+        kind("observer", self.observer, AlgebraicObserver, hint="an `AlgebraicObserver`")
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
-        algebraic = self.observer.equations(F.scope("algebraic"), u, y)
+        algebraic = self.observer(F.scope("algebraic"), u, y)
         terms = self.observer.relation(u, y)
         guard, certified = self.observer.guard, ~algebraic.coasting
         one = jnp.ones_like(algebraic.certificate)

@@ -1,6 +1,7 @@
 """The protocol of every observer."""
 
 import abc
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -8,7 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
-from .._checks import positive
+from .._checks import kind, positive
+from .._signals import check_signals
 from ..realise import Advance, Flow, Pass, Start, States
 
 
@@ -51,6 +53,12 @@ class AbstractObserver(eqx.Module):
         """The observer's equations: a pass `F`, the input `u` and the measurement `y`, to
         an [`Estimate`][] (or a dictionary of them, for observers side by side)."""
 
+    def __call__(self, F: Pass, u: PyTree, y: PyTree) -> Any:
+        """[`equations`][], of signals with the shapes that they declare: what each way to
+        run them calls, and what an observer calls that is made of others."""
+        check_signals(self, type(self).equations, u, y)
+        return self.equations(F, u, y)
+
     def init(self, y: PyTree, u: PyTree | None = None) -> ObserverState:
         """The state at the first measurement `y`. Of `u` only the shape matters, which by
         default is that of y."""
@@ -60,8 +68,12 @@ class AbstractObserver(eqx.Module):
     def allocate(self, y: PyTree, u: PyTree | None = None) -> Start:
         """The pass that allocates the states; it knows the laws they follow."""
         start = Start()
-        u = jax.tree.map(jnp.zeros_like, y) if u is None else jax.tree.map(jnp.asarray, u)
-        self.equations(Pass(start), u, y)
+        if u is None:
+            shape = getattr(self, "signals", {}).get("u")
+            y0 = jnp.zeros(shape, jnp.result_type(float)) if shape is not None else y
+            u = jax.tree.map(jnp.zeros_like, y0)
+        u = jax.tree.map(jnp.asarray, u)
+        self(Pass(start), u, y)
         return start
 
     def vector_field(
@@ -70,7 +82,7 @@ class AbstractObserver(eqx.Module):
         """The derivative of `state` at time `t` (s); that of its `y` is zero."""
         del t
         flow = Flow(state.states)
-        self.equations(Pass(flow), u, y)
+        self(Pass(flow), u, y)
         return ObserverState(flow.rates, jax.tree.map(jnp.zeros_like, state.y))
 
     def estimate(
@@ -78,7 +90,7 @@ class AbstractObserver(eqx.Module):
     ) -> Any:
         """The estimate at time `t` (s), in continuous time."""
         del t
-        return self.equations(Pass(Flow(state.states)), u, y)
+        return self(Pass(Flow(state.states)), u, y)
 
     def step(
         self,
@@ -96,6 +108,7 @@ class AbstractObserver(eqx.Module):
         within it. Compile a loop of steps with `eqx.filter_jit`.
         """
         positive("dt", dt, "s")
+        u, y = jax.tree.map(jnp.asarray, (u, y))
         interval = jnp.asarray(dt) / max(substeps, 1)
         coefficients = self.allocate(y, u).discretise(interval)
         return self.advance(state, u, y, coefficients, substeps=substeps)
@@ -116,20 +129,29 @@ class AbstractObserver(eqx.Module):
                 f"Argument `substeps` must be an integer of at least 1, but got {substeps}."
             )
         left = Flow(state.states)
-        self.equations(Pass(left), u, state.y)
+        self(Pass(left), u, state.y)
         states, drives = left.states, left.drives
         if substeps > 1:
 
             def piece(at_left, theta):
                 right = Advance(at_left[0], at_left[1], coefficients)
-                self.equations(Pass(right), u, _between(state.y, y, theta))
+                self(Pass(right), u, _between(state.y, y, theta))
                 return (right.advanced, right.drives), None
 
             inner = jnp.arange(1, substeps) / substeps
             (states, drives), _ = jax.lax.scan(piece, (states, drives), inner)
         right = Advance(states, drives, coefficients)
-        estimate = self.equations(Pass(right), u, y)
+        estimate = self(Pass(right), u, y)
         return ObserverState(right.advanced, y), estimate
+
+
+def check_observers(observers: Any) -> None:
+    """Refuse what is not observers by name."""
+    if not isinstance(observers, Mapping):
+        kind("observers", observers, Mapping, hint="observers by name, a dictionary")
+    for name, observer in dict(observers).items():
+        what = f"observers[{name!r}]"
+        kind(what, observer, AbstractObserver, hint="an observer")
 
 
 def _between(y0: PyTree, y1: PyTree, theta: Float[Array, ""]) -> PyTree:

@@ -57,7 +57,7 @@ class BearingObserver(AbstractObserver):
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
         relation, guard = self.flux.relation, self.flux.guard
         assert isinstance(relation, BearingFluxRelation) and guard is not None
-        flux = self.flux.equations(F.scope("flux"), u, y)
+        flux = self.flux(F.scope("flux"), u, y)
         q = relation.position(flux.value, y)
         # As for the guard's memory: rounding has become small where trust begins.
         trust = guard.trust(flux.certificate, widening=1e6)

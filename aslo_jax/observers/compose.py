@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import PyTree
 
 from ..realise import Pass
-from .base import AbstractObserver, Estimate
+from .base import AbstractObserver, Estimate, check_observers
 
 
 class SideBySide(AbstractObserver):
@@ -16,10 +16,12 @@ class SideBySide(AbstractObserver):
 
     observers: dict[str, AbstractObserver]
 
+    def __check_init__(self):
+        check_observers(self.observers)
+
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> dict[str, Any]:
         return {
-            name: observer.equations(F.scope(name), u, y)
-            for name, observer in self.observers.items()
+            name: observer(F.scope(name), u, y) for name, observer in self.observers.items()
         }
 
 
@@ -32,8 +34,7 @@ class Joined(AbstractObserver):
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
         each = [
-            part.equations(F.scope(f"part{k}"), u, y)
-            for k, part in enumerate(self.parts, start=1)
+            part(F.scope(f"part{k}"), u, y) for k, part in enumerate(self.parts, start=1)
         ]
         return Estimate(
             jnp.concatenate([e.value for e in each]),
@@ -56,7 +57,7 @@ class Staged(AbstractObserver):
     connect: Callable[[PyTree, PyTree, Any], tuple[PyTree, PyTree]]
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> dict[str, Any]:
-        first = self.first.equations(F.scope("first"), u, y)
+        first = self.first(F.scope("first"), u, y)
         u, y = self.connect(u, y, first)
-        second = self.second.equations(F.scope("second"), u, y)
+        second = self.second(F.scope("second"), u, y)
         return {"first": first, "second": second}

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from .._checks import positive, real
+from .._signals import check_shapes
 from ..filters import AbstractFilter, AbstractLaw, LinearSystem
 from ..plants import AbstractMechanicalSystem
 from ..realise import Pass
@@ -51,6 +52,8 @@ class HighGain(AbstractObserver):
 
     def equations(self, F: Pass, u: PyTree, y: Float[Array, " n"]) -> Estimate:
         w = jnp.broadcast_to(self.bandwidth, y.shape)
+        if self.system is not None:
+            check_shapes("HighGain", self.system.signals_of(y.shape[0]), u, y)
 
         def drive(x):
             model = 0.0 * y

@@ -32,6 +32,11 @@ class AbstractModel(eqx.Module):
     def select(self, x: Float[Array, " n"]) -> Float[Array, " k"]:
         """What of x is the estimate."""
 
+    def signals_of(self, n: int) -> dict[str, tuple[int, ...]]:
+        """The shapes of u and y beside a state of n entries, where they are known."""
+        del n
+        return {}
+
 
 class PMSMModel(AbstractModel):
     """A non-salient PMSM whose electrical speed is a random walk: `x = (flux, speed,
@@ -55,6 +60,9 @@ class PMSMModel(AbstractModel):
     def select(self, x):
         return x[:2]
 
+    def signals_of(self, n):
+        return {"u": (2,), "y": (2,)}
+
 
 class MechanicalModel(AbstractModel):
     """A mechanical system: `x = (q, q')`, input the generalised forces, shape `(m,)`,
@@ -74,6 +82,9 @@ class MechanicalModel(AbstractModel):
 
     def select(self, x):
         return jnp.split(x, 2)[1]
+
+    def signals_of(self, n):
+        return self.system.signals_of(n // 2)
 
 
 class Belief(NamedTuple):
@@ -228,6 +239,10 @@ class ExtendedKalman(AbstractObserver):
             jnp.concatenate([initial, zero]),
             jnp.diag(jnp.concatenate([1e-3 * spread, spread]) ** 2),
         )
+
+    @property
+    def signals(self) -> dict[str, tuple[int, ...]]:
+        return self.model.signals_of(self.initial.shape[0])
 
     def belief(self, F: Pass, u: PyTree, y: PyTree) -> Belief:
         """Mean and covariance of the whole state."""

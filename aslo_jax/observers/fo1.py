@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
-from .._checks import known_start, optional_real, positive, real
+from .._checks import kind, known_start, optional_real, positive, real
 from ..filters import AbstractFilter, AbstractLaw
 from ..plants.pmsm import FluxRelation
 from ..realise import Pass
@@ -79,6 +79,8 @@ class FO1(AbstractObserver):
     def __check_init__(self):
         positive("gain", self.gain, "s/Wb^2")
         known_start(self.start)
+        law = "a filter such as `LowPass(20.0)`"
+        kind("filter", self.filter, AbstractFilter, hint=law)
 
     def regression(
         self, F: Pass, u: Float[Array, " 2"], y: Float[Array, " 2"]
@@ -90,7 +92,7 @@ class FO1(AbstractObserver):
         mu = q - self.relation.inductance * y
         return Regression(q, 2.0 * F.p(mu, "mu"), -F.p(jnp.sum(mu * mu), "square"))
 
-    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
+    def equations(self, F: Pass, u: Float[Array, " 2"], y: Float[Array, " 2"]) -> Estimate:
         q, omega, Y = self.regression(F, u, y)
         start = jnp.zeros_like(q) if self.initial is None else self.initial
         eta = F.evolve(_Gradient(self.gain), (omega, Y), start, "eta")

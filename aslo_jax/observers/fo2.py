@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import optional_real, positive, real
 from .._small import safe_rsqrt
@@ -88,7 +88,7 @@ class FO2(AbstractObserver):
         positive("gain", self.gain, "1/(s Wb^2)")
         positive("relation.magnet_flux", self.relation.magnet_flux, "Wb")
 
-    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
+    def equations(self, F: Pass, u: Float[Array, " 2"], y: Float[Array, " 2"]) -> Estimate:
         relation = self.relation
         drive = _Drive(u - relation.resistance * y, relation.inductance * y)
         law = _Radial(self.gain, relation.magnet_flux, self.one_sided)

@@ -7,12 +7,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from .._checks import known_start, optional_real, positive, real
+from .._checks import kind, known_start, optional_real, positive, real
 from .._small import safe_reciprocal, solve_rows
 from ..filters import AbstractFilter, AbstractLaw
 from ..guard import Guard
 from ..realise import Pass
-from ..relations import AbstractTerms, swap
+from ..relations import AbstractTerms, swap, terms_of
 from ._relaxation import relaxation
 from .base import AbstractObserver, Estimate
 
@@ -77,10 +77,12 @@ class FO3(AbstractObserver):
     def __check_init__(self):
         positive("gain", self.gain, "1/s over the square of the determinant")
         known_start(self.start)
+        law = "a filter such as `LowPass(20.0)`"
+        kind("filter", self.filter, AbstractFilter, hint=law)
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
         F = F.using(self.filter, self.start)
-        terms = self.relation(u, y)
+        terms = terms_of(self.relation, u, y)
         rows = [terms.row(F.scope("row"))]
         for k in range(1, rows[0].r.shape[-1]):
             rows.append(swap(F.scope(f"repeat{k}"), rows[-1]))

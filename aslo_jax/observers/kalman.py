@@ -7,6 +7,7 @@ from jaxtyping import Array, Float, PyTree
 from numpy.typing import ArrayLike
 
 from .._checks import is_concrete, optional_real, real, stable
+from .._signals import vector
 from ..filters import LinearSystem
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
@@ -57,7 +58,8 @@ class SteadyStateKalman(AbstractObserver):
         return cls(A, B, C, P @ C.T @ np.linalg.inv(V), select)
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
-        u, y = jnp.atleast_1d(u), jnp.atleast_1d(y)
+        u = vector("u", u, self.B.shape[1])
+        y = vector("y", y, self.C.shape[0])
         drive = self.B @ u + self.gain @ y
         start = jnp.zeros_like(drive) if self.initial is None else self.initial
         law = LinearSystem(self.A - self.gain @ self.C)

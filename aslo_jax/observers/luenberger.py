@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from .._checks import is_concrete, optional_real, positive, real, stable
+from .._signals import vector
 from ..filters import LinearSystem
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
@@ -53,7 +54,8 @@ class ReducedLuenberger(AbstractObserver):
         return self.A[p:, p:] - self.gain @ self.A[:p, p:]
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
-        u, y = jnp.atleast_1d(u), jnp.atleast_1d(y)
+        u = vector("u", u, self.B.shape[1])
+        y = vector("y", y, self.gain.shape[1])
         p, L = self.gain.shape[1], self.gain
         error = self._error_matrix()
         A, B = self.A, self.B

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, PyTree
 
 from .._checks import optional_real
 from ..realise import Pass
-from ..relations import AbstractTerms
+from ..relations import AbstractTerms, terms_of
 from .base import AbstractObserver, Estimate
 
 
@@ -28,7 +28,7 @@ class OpenLoopIntegrator(AbstractObserver):
     initial: Float[Array, " n"] | None = eqx.field(converter=optional_real, default=None)
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
-        terms = self.relation(u, y)
+        terms = terms_of(self.relation, u, y)
         start = jnp.zeros_like(terms.z) if self.initial is None else self.initial
         x = F.state("integral", start, terms.drift)
         return Estimate(x, jnp.zeros_like(x[0]), jnp.asarray(True))

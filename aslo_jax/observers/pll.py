@@ -29,7 +29,7 @@ class PhaseLockedLoop(AbstractObserver):
     def __check_init__(self):
         positive("bandwidth", self.bandwidth, "rad/s")
 
-    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
+    def equations(self, F: Pass, u: PyTree, y: Float[Array, ""]) -> Estimate:
         del u
         b = self.bandwidth
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from .._checks import positive, real
+from .._signals import check_signals
 from ..completions import AbstractCompletion, LeastSquares
 from ..filters import AbstractFilter
 from ..guard import Guard
@@ -49,6 +50,7 @@ class SelfConsistent(AbstractObserver):
         positive("gain", self.gain, "rad/s")
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
+        check_signals(self.relation, type(self.relation).__call__, u, y)
         one = jnp.ones_like(self.initial[0])
         kept = _Average(one, self.initial)
         start = jax.tree.map(jnp.zeros_like, kept) if self.forget else kept
@@ -64,7 +66,7 @@ class SelfConsistent(AbstractObserver):
         inner = AlgebraicObserver(
             relation, self.filter, self.completion, self.guard, initial=self.initial
         )
-        algebraic = inner.equations(F.scope("algebraic"), u, y)
+        algebraic = inner(F.scope("algebraic"), u, y)
         terms, certified = relation(u, y), ~algebraic.coasting
         trust = self.guard.trust(algebraic.certificate)
 

@@ -1,9 +1,12 @@
 """Angles from encoders, which wrap, as angles that do not."""
 
+from collections.abc import Mapping
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
+from .._signals import Shape
 from ..realise import Pass
 from .base import AbstractObserver
 from .pll import wrap
@@ -24,8 +27,12 @@ class Unwrapped(AbstractObserver):
     observer: AbstractObserver
     angles: tuple[bool, ...] = eqx.field(static=True)
 
+    @property
+    def signals(self) -> Mapping[str, Shape]:
+        return getattr(self.observer, "signals", {})
+
     def equations(self, F: Pass, u: PyTree, y: PyTree):
-        return self.observer.equations(F, u, y)
+        return self.observer(F, u, y)
 
     def advance(self, state, u, y, coefficients, *, substeps=1):
         y = _continued(state.y, y, jnp.asarray(self.angles))

@@ -97,7 +97,7 @@ class CoordinateVelocity(AbstractObserver):
         guess = 0.0 * q[0] if self.initial is None else self.initial
         start = self.relation.momentum(guess, q)
         observer = _starting_at(self.observer, start, keep=self.initial is not None)
-        x = observer.equations(F, u, y)
+        x = observer(F, u, y)
         value = self.relation.velocity(x.value, q)
         return Estimate(value, x.certificate, x.coasting)
 
@@ -123,13 +123,17 @@ class Velocities(AbstractObserver):
     parts: tuple[CoordinateVelocity, ...]
     stages: tuple[tuple[int, ...], ...] = eqx.field(static=True)
 
+    @property
+    def signals(self) -> dict[str, tuple[int, ...]]:
+        return self.parts[0].relation.system.signals_of(len(self.parts))
+
     def equations(self, F: Pass, u: PyTree, y: Float[Array, " n"]) -> dict[str, Estimate]:
         found: dict[int, Estimate] = {}
         velocity = jnp.zeros_like(y)
         certificate, coasting = jnp.asarray(jnp.inf, y.dtype), jnp.asarray(False)
         for stage in self.stages:
             for j in stage:
-                e = self.parts[j].equations(F.scope(f"q{j + 1}"), u, (y, velocity))
+                e = self.parts[j](F.scope(f"q{j + 1}"), u, (y, velocity))
                 found[j] = Estimate(
                     e.value, jnp.minimum(e.certificate, certificate), e.coasting | coasting
                 )
@@ -150,8 +154,12 @@ class VelocityObserver(AbstractObserver):
 
     velocities: Velocities
 
+    @property
+    def signals(self) -> dict[str, tuple[int, ...]]:
+        return self.velocities.signals
+
     def equations(self, F: Pass, u: PyTree, y: Float[Array, " n"]) -> Estimate:
-        each = list(self.velocities.equations(F, u, y).values())
+        each = list(self.velocities(F, u, y).values())
         value = jnp.concatenate([e.value for e in each])
         certificate = jnp.min(jnp.stack([e.certificate for e in each]))
         return Estimate(value, certificate, jnp.any(jnp.stack([e.coasting for e in each])))

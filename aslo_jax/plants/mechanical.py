@@ -82,6 +82,11 @@ class AbstractMechanicalSystem(AbstractPlant):
         kinetic = self.lagrangian(x.position, x.velocity) + self.potential(x.position)
         return kinetic + self.potential(x.position)
 
+    def signals_of(self, coordinates: int) -> dict[str, tuple[int, ...]]:
+        """The shapes of u and y for so many coordinates."""
+        q = jax.ShapeDtypeStruct((coordinates,), jnp.result_type(float))
+        return {"u": jax.eval_shape(self.input_matrix, q).shape[1:], "y": q.shape}
+
     def vector_field(self, t, x, u):
         del t
         return MechanicalState(x.velocity, self.acceleration(x.position, x.velocity, u))
