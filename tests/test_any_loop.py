@@ -1,4 +1,5 @@
-"""Loops of random operations: the results of a plain loop."""
+"""Loops of sums, products and choices, which passes rewrite: the results of a plain loop.
+Programs of all that lowers, against scan, are those of `test_random_programs`."""
 
 import hypothesis.strategies as st
 import jax.numpy as jnp
