@@ -82,7 +82,9 @@ def planned(
         # of one in a register that is needed no more.
         read = len(args) - len(loaded) - len(held & args.keys())
         free = any(a in held or a in loaded for a in last_uses)
-        yield from room_for(len(loaded) + max(read - 1, not free), time, args)
+        # A loop takes all registers.
+        more = room if instruction.op == "group" else max(read - 1, not free)
+        yield from room_for(len(loaded) + more, time, args)
         for a in loaded:
             yield Event("load", a)
             held.add(a)

@@ -15,6 +15,7 @@ import numpy as np
 from ..._checks import is_concrete
 from ..ir.graph import Graph
 from .elementwise import ELEMENTWISE, Unsupported
+from .large import entrywise
 from .structural import STRUCTURAL, Value, constant, known, select
 
 UNROLLED = 4096  # the longest loop that is unrolled
@@ -82,6 +83,9 @@ def _apply(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
         rule = ELEMENTWISE[name]
         spread = np.broadcast_arrays(*arguments)
         aval = equation.outvars[0].aval
+        looped = entrywise(graph, rule, aval.dtype, params, spread)
+        if looped is not None:
+            return [looped]
         out = np.empty(aval.shape, np.int64)
         for index in np.ndindex(aval.shape):
             out[index] = rule(graph, aval.dtype, params, *(int(a[index]) for a in spread))
