@@ -358,9 +358,12 @@ class Graph:
 
     def reachable(self, roots: list[int]) -> list[int]:
         """The nodes that `roots` need, themselves included, arguments first."""
-        needed = np.zeros(len(self.nodes), bool)
-        needed[list(roots)] = True
-        for number in range(len(self.nodes) - 1, -1, -1):
+        roots = list(roots)
+        needed = bytearray(max(roots, default=-1) + 1)
+        for number in roots:
+            needed[number] = True
+        for number in range(len(needed) - 1, -1, -1):
             if needed[number]:
-                needed[list(self.nodes[number].args)] = True
-        return np.flatnonzero(needed).tolist()
+                for a in self.nodes[number].args:
+                    needed[a] = True
+        return np.flatnonzero(np.frombuffer(needed, bool)).tolist()
