@@ -12,6 +12,8 @@ from .writer import Writer
 
 # Inputs that a loop copies into an array, at least.
 COPIED = 16
+# Stores in a basic block: LLVM compares each with all others of it.
+BLOCK = 64
 
 Entries = tuple[int, ...]
 
@@ -26,6 +28,7 @@ class Groups:
         self.layout, self.out, self.operand = layout, layout.out, operand
         self.graph, self.varies = layout.graph, layout.varies
         self.definitions: list[str] = []
+        self.block = ""  # the last one that a filling has begun
         self.results: dict[int, Array] = {}
         self.slots = {slot: k for k, slot in enumerate(layout.loop.slots)}
         self._arrays: dict[tuple[Entries, bool], Array] = {}
@@ -130,6 +133,8 @@ class Groups:
         for k, number in enumerate(each):
             if not self.varies[number][0]:
                 self.put(number, array, k)
+            if k % BLOCK == BLOCK - 1:
+                self.block = self.out.next_block()
 
     def put(self, number: int, array: Array, k: int) -> None:
         dtype, place = self.graph.dtype(number), self.place(array, k)

@@ -135,10 +135,12 @@ class _Kernel:
     def _begin(self) -> None:
         """For each block of lanes: its first state, and what varies over lanes only."""
         self.out.label("block")
-        self.out.line("%lane = phi i64 [ %first, %entry ], [ %next_lane, %finish ]")
+        entry = self.groups.block or "entry"
+        self.out.line(f"%lane = phi i64 [ %first, %{entry} ], [ %next_lane, %finish ]")
         self.out.line("%begun = icmp slt i64 %lane, %last")
         self.out.line("br i1 %begun, label %begin, label %done")
         self.out.label("begin")
+        self.groups.block = "begin"
         for slot, number in self.inputs.items():
             if slot[0] == "lane":
                 dtype = self.graph.dtype(number)
@@ -167,12 +169,12 @@ class _Kernel:
 
     def _advance(self) -> None:
         """For each step: the next state."""
-        rows = 1 if self.loop.first else 0
+        rows, begun = 1 if self.loop.first else 0, f"%{self.groups.block}"
         self.out.label("time")
-        self.out.line("%k = phi i64 [ 0, %begin ], [ %next_k, %advanced ]")
-        self.out.line("%left = phi i64 [ %every, %begin ], [ %next_left, %advanced ]")
-        self.out.line(f"%saved = phi i64 [ {rows}, %begin ], [ %next_saved, %advanced ]")
-        self.out.line("%now = phi i64 [ 0, %begin ], [ %next, %advanced ]")
+        self.out.line(f"%k = phi i64 [ 0, {begun} ], [ %next_k, %advanced ]")
+        self.out.line(f"%left = phi i64 [ %every, {begun} ], [ %next_left, %advanced ]")
+        self.out.line(f"%saved = phi i64 [ {rows}, {begun} ], [ %next_saved, %advanced ]")
+        self.out.line(f"%now = phi i64 [ 0, {begun} ], [ %next, %advanced ]")
         self.out.line(f"%next = sub i64 {self.layout.half}, %now")
         self.out.line("%running = icmp slt i64 %k, %steps")
         self.out.line("br i1 %running, label %advance, label %finish")

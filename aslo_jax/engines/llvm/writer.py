@@ -52,6 +52,14 @@ class Writer:
     def line(self, text: str) -> None:
         self.lines.append("  " + text)
 
+    def next_block(self) -> str:
+        """Goes on in a basic block of its own: its name."""
+        self._count += 1
+        name = f"block{self._count}"
+        self.line(f"br label %{name}")
+        self.label(name)
+        return name
+
     def define(self, text: str) -> str:
         """A new name for the value of an instruction."""
         self._count += 1
