@@ -1,5 +1,5 @@
-"""Alike operations that a kernel does in one loop: products of the rows of a matrix with one
-vector, and calls of one function."""
+"""Alike operations that a kernel does in one loop: products of the rows of a matrix with
+one vector, and calls of one function."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple

@@ -2,7 +2,7 @@
 does in loops: so many scalar ones would take long to compile, and be read from memory anew
 in each step."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,7 @@ def entrywise(
     rule: Callable[..., int],
     dtype: Any,
     params: Any,
-    arguments: list[np.ndarray],
+    arguments: Sequence[np.ndarray],
 ) -> np.ndarray | None:
     """A rule on every entry of arrays of one shape, as calls of a function; `None` where
     that is not worth a loop."""
@@ -57,7 +57,7 @@ def entrywise(
     return out
 
 
-def _entries(arguments: list[np.ndarray]) -> Iterator[tuple[Any, list[int]]]:
+def _entries(arguments: Sequence[np.ndarray]) -> Iterator[tuple[Any, list[int]]]:
     for index in np.ndindex(arguments[0].shape):
         yield index, [int(a[index]) for a in arguments]
 
