@@ -16,7 +16,7 @@ from . import loops, motor_loop, timing
 
 BOUNDS = {32: 4.0, 64: 10.0}  # seconds of a processor, by the units of two layers
 FASTER = 5.0  # times `scan`, with the most units
-LANES, STEPS, RUNS = 1024, 200, 5
+LANES, STEPS, RUNS = 1024, 400, 3
 OBSERVERS = 50
 CHAIN = aslo.plants.IntegratorChain(2)
 
@@ -60,6 +60,7 @@ def _first(make) -> float:
 
 def main() -> list[str]:
     """Print the seconds; return what does not hold."""
+    jax.config.update("jax_enable_x64", True)
     failures = []
     print(f"Time of a processor to trace, compile and run once ({timing.load()})")
     for units, bound in BOUNDS.items():
