@@ -4,12 +4,13 @@
 import functools
 import sys
 
-from . import import_time, peers, pmsm, replay, reversal, systems, tuning
+from . import compile_time, import_time, peers, pmsm, replay, reversal, systems, tuning
 
 FLAGS = {"--quick", "--install"}
 quick = "--quick" in sys.argv
 BENCHMARKS = {
     "import_time": import_time.main,
+    "compile_time": compile_time.main,
     "replay": replay.main,
     "reversal": reversal.main,
     "systems": systems.main,

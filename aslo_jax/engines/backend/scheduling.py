@@ -46,6 +46,9 @@ class _Schedule:
         self.graph, self.numbers = graph, numbers
         inside = set(numbers)
         self.done: dict[int, int] = {}  # when a result is there
+        self.ready: set[int] = set()
+        self.longest: list[tuple[int, int]] = []
+        self.freeing: list[tuple[int, int, int]] = []
         self.args = {n: set(graph.nodes[n].args) & inside for n in numbers}
         self.users: dict[int, list[int]] = {n: [] for n in numbers}
         for n in numbers:
@@ -69,24 +72,42 @@ class _Schedule:
         """One node is left that uses a value: after it, the value waits no more."""
         user = next(n for n in self.users[number] if n not in self.done)
         self.more[user] -= self._waits(number)
+        if user in self.ready:
+            self._offer(user)
+
+    def _offer(self, number: int) -> None:
+        """A node whose arguments are there, to both queues."""
+        self.ready.add(number)
+        heapq.heappush(self.longest, (-self.chain[number], number))
+        frees = self.more[number], -self.chain[number], number
+        heapq.heappush(self.freeing, frees)
+
+    def _taken(self, crowded: bool) -> int:
+        """The next node; what queues hold of nodes that are done, or of what has changed
+        since, is passed over."""
+        while crowded:
+            more, _, number = heapq.heappop(self.freeing)
+            if number in self.ready and self.more[number] == more:
+                self.ready.remove(number)
+                return number
+        while True:
+            _, number = heapq.heappop(self.longest)
+            if number in self.ready:
+                self.ready.remove(number)
+                return number
 
     def order(self) -> list[int]:
         out: list[int] = []
         missing = {n: len(self.args[n]) for n in self.numbers}
         later = [(0, n) for n in self.numbers if not missing[n]]
-        ready: set[int] = set()
         time = waiting = 0
-        while later or ready:
+        while later or self.ready:
             while later and later[0][0] <= time:
-                ready.add(heapq.heappop(later)[1])
-            if not ready:
+                self._offer(heapq.heappop(later)[1])
+            if not self.ready:
                 time = later[0][0]
                 continue
-            if waiting < WAITING:
-                number = max(ready, key=lambda n: (self.chain[n], -n))
-            else:
-                number = min(ready, key=lambda n: (self.more[n], -self.chain[n], n))
-            ready.remove(number)
+            number = self._taken(waiting >= WAITING)
             out.append(number)
             waiting += self.more[number]
             self.done[number] = time + latency(self.graph.nodes[number])

@@ -4,7 +4,6 @@ LLVM allocates registers well in small loops. In a step of a thousand operations
 twice as many values as it must.
 """
 
-import bisect
 from collections.abc import Collection, Iterator, Sequence
 from typing import Generic, NamedTuple, TypeVar
 
@@ -45,21 +44,23 @@ def planned(
         for a in set(instruction.args):
             uses.setdefault(a, []).append(time)
 
-    def following(value: Value, time: int) -> int | None:
-        later = bisect.bisect_right(uses[value], time)
-        return uses[value][later] if later < len(uses[value]) else None
-
+    # When each value is needed next: for the first time after the instruction that has
+    # been done last.
+    coming = {value: iter(times) for value, times in uses.items()}
+    following = {value: next(times, None) for value, times in coming.items()}
     held: set[Value] = set()
     in_memory = set(stored) | (uses.keys() - made.keys())
 
     def rank(value: Value, time: int) -> tuple[int, int]:
-        then = following(value, time)
+        then = following[value]
         assert then is not None, "what is needed no more does not wait"
         clean = CLEAN if value in in_memory else 1
         return (then - time) * clean, made.get(value, -1)
 
     def room_for(more: int, time: int, but: Collection[Value]) -> Iterator[Event[Value]]:
         """Values go until so many more are held than are now."""
+        if len(held) + more <= room:
+            return
         others = {v: rank(v, time) for v in held if v not in but}
         while others and len(held) + more > room:
             last = max(others, key=others.__getitem__)
@@ -70,7 +71,9 @@ def planned(
 
     for time, instruction in enumerate(instructions):
         args = dict.fromkeys(instruction.args)
-        then = {a: following(a, time) for a in args}
+        for a in args:
+            following[a] = next(coming[a], None)
+        then = {a: following[a] for a in args}
         last_uses = dict.fromkeys(a for a in args if then[a] is None)
         loaded = [
             a
@@ -82,13 +85,15 @@ def planned(
         # of one in a register that is needed no more.
         read = len(args) - len(loaded) - len(held & args.keys())
         free = any(a in held or a in loaded for a in last_uses)
-        yield from room_for(len(loaded) + max(read - 1, not free), time, args)
+        # A loop takes all registers.
+        more = room if instruction.op == "group" else max(read - 1, not free)
+        yield from room_for(len(loaded) + more, time, args)
         for a in loaded:
             yield Event("load", a)
             held.add(a)
         yield Event("do", instruction.result, instruction)
         held.add(instruction.result)
-        if following(instruction.result, time) is None:
+        if following[instruction.result] is None:
             last_uses[instruction.result] = None
         held -= last_uses.keys()
         for v in last_uses:

@@ -2,12 +2,14 @@
 and which of them wait in memory."""
 
 from collections.abc import Iterable, Sequence
+from itertools import groupby
 
 import numpy as np
 
 from ..ir.loop import Loop, varying
-from ..ir.selection import selected
+from ..ir.selection import Instruction, selected
 from .cost import cycles
+from .grouping import LOOPED, entries, needed_later, phases
 from .scheduling import depth_first, ordered
 from .spilling import Event, planned
 from .splitting import Part, in_parts
@@ -18,6 +20,9 @@ HOLDING = {32: 16, 64: 32}
 # loop with five observers takes 2,430 for eight lanes in one order and 2,040 in the other,
 # which runs 1.8 times as fast.
 DECODED = 2_400
+# Bytes of arrays that are fixed over time, and different for each lane: half of a cache of
+# the second level, as small as it is today.
+CACHE = 2**18
 
 
 class Body:
@@ -26,7 +31,9 @@ class Body:
     - `varies`: for each node, whether it does over time and over lanes;
     - `scalars`: what a step makes for all lanes; `orders` of the vectors that it makes: one
       in which long chains of operations go on beside each other, one in which little waits;
-    - `record`: what only the records need, and `leaving`, the vectors of a step for it.
+    - `groups`: those of its vectors that loops make;
+    - `record`: what only the records need, and `leaving`, the vectors of a step for it;
+    - `stored`: what must be in memory once it is made.
     """
 
     def __init__(self, loop: Loop):
@@ -40,10 +47,27 @@ class Body:
         vectors = {n for n in step if self.varies[n][1] and graph.nodes[n].op != "input"}
         needed = {a for n in self.record for a in graph.nodes[n].args} | set(loop.record)
         self.leaving = vectors & needed
-        self.orders = (
-            ordered(graph, sorted(vectors)),
-            depth_first(graph, loop.carry, vectors),
-        )
+        self.phases = phases(graph, sorted(vectors), self.varies)
+        self.groups = [group for phase in self.phases for group in phase.groups]
+        read = entries(graph, self.groups) & vectors
+        self.stored = self.leaving | set(loop.carry) | read
+        self.orders = self._ordered(loop)
+
+    @property
+    def lane_bytes(self) -> int:
+        """Of what is fixed over time in the arrays of groups, for each lane."""
+        arrays = {a for group in self.groups for a in group.arrays(self.loop.graph)}
+        fixed = [n for a in arrays for n in a if self.varies[n] == (False, True)]
+        return sum(self.loop.graph.dtype(n).itemsize for n in fixed)
+
+    def _ordered(self, loop: Loop) -> tuple[list[int], list[int]]:
+        graph, first, second = loop.graph, [], []
+        for k, (groups, rest) in enumerate(self.phases):
+            members = [n for group in groups for n in group.members]
+            roots = needed_later(graph, self.phases, k, loop.carry)
+            first += [*members, *ordered(graph, rest)]
+            second += [*members, *depth_first(graph, roots, set(rest))]
+        return first, second
 
     def moving(self, numbers: Iterable[int]) -> list[int]:
         return [n for n in numbers if self.varies[n][0]]
@@ -51,7 +75,8 @@ class Body:
 
 class Step:
     """A body for `width` lanes at a time, in registers of so many bytes: `events` are how
-    it makes its vectors, in the order that promises to be faster."""
+    it makes its vectors, in the order that promises to be faster. The instruction `group`
+    with the result `Part(-1, k)` is the k-th group of the body."""
 
     def __init__(self, body: Body, width: int, register: int):
         self.body, self.width, self.register = body, width, register
@@ -72,15 +97,21 @@ class Step:
         return self._counts[number]
 
     def _planned(self) -> list[Event[Part]]:
-        loop = self.body.loop
-        stored = self.body.leaving | set(loop.carry)
+        loop, stored = self.body.loop, self.body.stored
         kept = {Part(n, k) for n in stored for k in range(self.parts(n))}
+        loops = {g.members[0]: k for k, g in enumerate(self.body.groups)}
 
         def plan(order: list[int]) -> list[Event[Part]]:
-            instructions = selected(loop.graph, order, stored)
-            values = {v for x in instructions for v in (x.result, *x.args)}
-            alike = {v for v in values if not self.body.varies[v][1]}
-            made = in_parts(instructions, {v: self.parts(v) for v in values}, alike)
+            instructions, made = selected(loop.graph, order, stored), []
+            for looped, some in groupby(instructions, lambda x: x.op in LOOPED):
+                if looped:
+                    some = [loops[x.result] for x in some if x.result in loops]
+                    made += [Instruction(Part(-1, k), "group", ()) for k in some]
+                    continue
+                some = list(some)
+                values = {v for x in some for v in (x.result, *x.args)}
+                alike = {v for v in values if not self.body.varies[v][1]}
+                made += in_parts(some, {v: self.parts(v) for v in values}, alike)
             return list(planned(made, kept, HOLDING[self.register]))
 
         plans = map(plan, self.body.orders)
@@ -95,5 +126,6 @@ def chosen(loop: Loop, widths: Sequence[int], register: int) -> Step:
     """A step for the most lanes at a time of which the processor keeps the instructions, or
     else for those that need the fewest. No bits depend on it."""
     body = Body(loop)
-    steps = [Step(body, width, register) for width in sorted(widths, reverse=True)]
+    fitting = [w for w in widths if w * body.lane_bytes <= CACHE] or [min(widths)]
+    steps = [Step(body, width, register) for width in sorted(fitting, reverse=True)]
     return min(steps, key=lambda step: max(step.instructions(), DECODED))

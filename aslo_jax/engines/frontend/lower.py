@@ -17,6 +17,7 @@ from ..._checks import is_concrete
 from ..ir.graph import NUMBERS, Graph
 from .elementwise import ELEMENTWISE, Unsupported
 from .functions import FUNCTIONS, applies_function
+from .large import entrywise
 from .origin import described, located, with_caller
 from .structural import STRUCTURAL, Value, constant, known, select
 
@@ -127,6 +128,9 @@ def _apply(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
         rule = ELEMENTWISE[name]
         spread = np.broadcast_arrays(*arguments)
         aval = equation.outvars[0].aval
+        looped = entrywise(graph, rule, aval.dtype, params, spread)
+        if looped is not None:
+            return [looped]
         out = np.empty(aval.shape, np.int64)
         for index in np.ndindex(aval.shape):
             out[index] = rule(graph, aval.dtype, params, *(int(a[index]) for a in spread))

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from ..ir.graph import Graph
 from .factorisations import FACTORISATIONS
 from .indexing import INDEXING
+from .large import is_large, product
 from .reductions import REDUCTIONS, spaced
 from .sorting import SORTING
 from .values import Value, array, constant, fold, known, select
@@ -55,6 +57,11 @@ def _dot_general(graph, equation, a, b):
     A = np.transpose(a, (*ba, *fa, *ca)).reshape(*batch, -1, _size(a, ca))
     B = np.transpose(b, (*bb, *fb, *cb)).reshape(*batch, -1, _size(b, cb))
     out = np.empty((*batch, A.shape[-2], B.shape[-2]), np.int64)
+    if dtype.kind == "f" and is_large(*out.shape[-2:], A.shape[-1]):
+        A, B = (_converted(graph, x, dtype) for x in (A, B))
+        for at in np.ndindex(*batch):
+            out[at] = product(graph, A[at], B[at])
+        return out.reshape(equation.outvars[0].aval.shape)
     for index in np.ndindex(out.shape):
         *at, i, j = index
         rows = (A[(*at, i)], B[(*at, j)])  # which may be of two types
@@ -62,6 +69,11 @@ def _dot_general(graph, equation, a, b):
         products = [graph.op("mul", x, y) for x, y in zip(one, two, strict=True)]
         out[index] = fold(graph, "add", dtype, np.array(products))
     return out.reshape(equation.outvars[0].aval.shape)
+
+
+def _converted(graph: Graph, x: Value, dtype: Any) -> Value:
+    numbers = [graph.convert(n, dtype) for n in x.flatten().tolist()]
+    return np.array(numbers, np.int64).reshape(x.shape)
 
 
 def _size(x: Value, axes: Any) -> int:

@@ -184,9 +184,8 @@ class Program:
         two; what a step shares with all others or all lanes is not counted."""
         nodes, total = self.loop.graph.nodes, 0
         for number, varies in varying(self.loop.graph, self.loop.of_a_step()).items():
-            node = nodes[number]
-            if node.op not in ("const", "input") and all(varies):
-                total += 2 if node.op == "fma" else 1
+            if all(varies):
+                total += nodes[number].size
         return total
 
     def __call__(

@@ -14,14 +14,30 @@ BOOL = np.dtype(bool)
 Value = TypeVar("Value")
 
 
+class Function(NamedTuple):
+    """A function of scalars: a graph whose inputs have the slots `("argument", k)`."""
+
+    graph: "Graph"
+    result: int
+
+
 class Node(NamedTuple):
     """One operation on scalars. `data`: the value of a `const`, the slot of an `input`, the
-    entries of a `table`."""
+    entries of a `table`, the function of a `call`."""
 
     op: str
     dtype: np.dtype
     args: tuple[int, ...] = ()
     data: Any = None
+
+    @property
+    def size(self) -> int:
+        """How many operations it takes, a product with a sum counted as two."""
+        if self.op in ("const", "input"):
+            return 0
+        if self.op == "call":
+            return self.data.graph.size(self.data.result)
+        return {"fma": 2, "dot": len(self.args) - 1}.get(self.op, 1)
 
     def varies(self, args: list[tuple[bool, bool]]) -> tuple[bool, bool]:
         """Whether it changes over time, and over lanes, as its arguments do."""
@@ -42,6 +58,7 @@ class Graph:
     def __init__(self):
         self.nodes: list[Node] = []
         self._numbers: dict[Any, int] = {}
+        self._functions: dict[Any, Function] = {}
 
     def const(self, value: Any, dtype: Any) -> int:
         dtype = np.dtype(dtype)
@@ -141,15 +158,52 @@ class Graph:
         key = ("table", values.dtype, values.tobytes(), (index,))
         return self._number(key, Node("table", values.dtype, (index,), values))
 
+    def dot(self, *args: int) -> int:
+        """The sum of the products of real numbers, a row of them and then a vector, from
+        the first to the last: one operation, which many rows do in one loop."""
+        dtype, values = self.dtype(args[0]), [self.value(a) for a in args]
+        if all(v is not None for v in values):
+            row, vector = np.array(values, dtype).reshape(2, -1)
+            with np.errstate(all="ignore"):
+                return self.const(np.dot(row, vector), dtype)
+        return self._number(("dot", dtype, args), Node("dot", dtype, args))
+
+    def call(self, function: Function, *args: int) -> int:
+        """A function of real numbers: one operation, which many do in one loop."""
+        if all(self.value(a) is not None for a in args):
+            return self._inlined(function, args)
+        # Equal functions are one, also in another process.
+        content = *function.graph._numbers, function.result
+        function = self._functions.setdefault(content, function)
+        dtype = function.graph.dtype(function.result)
+        key = ("call", dtype, args, content)
+        return self._number(key, Node("call", dtype, args, function))
+
+    def _inlined(self, function: Function, args: tuple[int, ...]) -> int:
+        found: dict[int, int] = {}
+        for number in function.graph.reachable([function.result]):
+            node = function.graph.nodes[number]
+            if node.op == "const":
+                found[number] = self.const(node.data, node.dtype)
+            elif node.op == "input":
+                found[number] = args[node.data[1]]
+            else:
+                found[number] = self.made(node, tuple(found[a] for a in node.args))
+        return found[function.result]
+
     def again(self, number: int, args: tuple[int, ...]) -> int:
         """The operation of a node on other arguments, of the same types."""
         node = self.nodes[number]
-        if args == node.args:
-            return number
+        return number if args == node.args else self.made(node, args)
+
+    def made(self, node: Node, args: tuple[int, ...]) -> int:
+        """The operation of a node, which may be one of another graph, on arguments."""
         if node.op == "select":
             return self.select(*args)
-        if node.op == "fma":
-            return self.fma(*args)
+        if node.op in ("fma", "dot"):
+            return getattr(self, node.op)(*args)
+        if node.op == "call":
+            return self.call(node.data, *args)
         if node.op == "table":
             return self.table(node.data, *args)
         if node.op in ("convert", "bitcast"):
@@ -250,6 +304,11 @@ class Graph:
                     return self.op("mul", self.const(both, node.dtype), rest)
         return None
 
+    def size(self, root: int) -> int:
+        """How many operations a node takes, those that it needs included."""
+        found = (self.nodes[n] for n in self.reachable([root]))
+        return sum(node.size for node in found)
+
     def followed(
         self, number: int, known: dict[int, Value], make: Callable[[int], Value]
     ) -> Value:
@@ -267,9 +326,12 @@ class Graph:
 
     def reachable(self, roots: list[int]) -> list[int]:
         """The nodes that `roots` need, themselves included, arguments first."""
-        needed = np.zeros(len(self.nodes), bool)
-        needed[list(roots)] = True
-        for number in range(len(self.nodes) - 1, -1, -1):
+        roots = list(roots)
+        needed = bytearray(max(roots, default=-1) + 1)
+        for number in roots:
+            needed[number] = True
+        for number in range(len(needed) - 1, -1, -1):
             if needed[number]:
-                needed[list(self.nodes[number].args)] = True
-        return np.flatnonzero(needed).tolist()
+                for a in self.nodes[number].args:
+                    needed[a] = True
+        return np.flatnonzero(np.frombuffer(needed, bool)).tolist()

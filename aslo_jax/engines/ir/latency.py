@@ -19,6 +19,8 @@ LATENCY = {
     "rint": 8,
     "div": 13,
     "sqrt": 20,
+    "dot": 40,
+    "call": 40,
 }
 
 

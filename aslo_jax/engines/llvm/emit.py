@@ -12,11 +12,14 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from ..backend.grouping import LOOPED, Group, phases
 from ..backend.splitting import Part
 from ..backend.step import Step
 from ..ir.loop import Slot
 from ..ir.selection import Instruction
+from .arrays import Groups
 from .layout import POINTERS, Layout
+from .loops import operation
 from .writer import PARTIAL
 
 
@@ -41,10 +44,11 @@ class _Kernel:
         self.pointers: dict[Slot, str] = {}
         self.scalars: dict[int, str] = {}
         self.vectors: dict[int, str] = {}
+        self.groups = Groups(self.layout, self.operand)
         self.inputs: dict[Slot, int] = {
             self.graph.nodes[n].data: n
             for n in self.varies
-            if self.graph.nodes[n].op == "input"
+            if self.graph.nodes[n].op == "input" and n in self.groups.single
         }
 
     def operand(self, number: int, vector: bool) -> str:
@@ -59,25 +63,25 @@ class _Kernel:
 
     def compute(self, numbers: Iterable[int]) -> None:
         """Emits the nodes, each on a vector where it varies over lanes."""
-        for number in numbers:
-            node = self.graph.nodes[number]
-            if node.op in ("const", "input"):
-                continue
-            vector = self.varies[number][1]
-            x = [self.operand(a, vector) for a in node.args]
-            result = self.result(number, node.op, node.args, x, vector)
-            (self.vectors if vector else self.scalars)[number] = result
+        for groups, rest in phases(self.graph, numbers, self.varies):
+            for group in groups:
+                vector = self.varies[group.members[0]][1]
+                made = self.groups.compute(group)
+                (self.vectors if vector else self.scalars).update(made)
+            for number in rest:
+                node = self.graph.nodes[number]
+                if node.op in ("const", "input"):
+                    continue
+                vector = self.varies[number][1]
+                x = [self.operand(a, vector) for a in node.args]
+                made = self.result(number, node.op, node.args, x, vector)
+                (self.vectors if vector else self.scalars)[number] = made
 
     def result(
         self, number: int, op: str, args: tuple[int, ...], x: list[str], vector: bool
     ) -> str:
         """`op`, on the nodes `args` that have the names x."""
-        node = self.graph.nodes[number]
-        if op == "table":
-            return self.out.lookup(node.data, x[0], vector)
-        if op in PARTIAL and node.dtype.kind != "f":
-            return self.out.partial(op, node.dtype, x, vector, self.graph.value(args[1]))
-        return self.out.operation(op, node.dtype, self.graph.dtype(args[-1]), x, vector)
+        return operation(self.out, self.graph, number, op, args, x, vector)
 
     # -- blocks --------------------------------------------------------------------------
 
@@ -94,6 +98,7 @@ class _Kernel:
         return "\n".join(
             [
                 *(definition for _, definition in self.out.tables.values()),
+                *self.groups.definitions,
                 f"define void @kernel({arguments}, ptr noalias %table) #0 {{",
                 "entry:",
                 f"  %memory = alloca [{max(self.layout.frame.size, 1)} x i8], align 64",
@@ -108,6 +113,8 @@ class _Kernel:
     def _entry(self) -> None:
         """Once: pointers, and what varies over neither time nor lanes."""
         for k, slot in enumerate(self.loop.slots):
+            if slot[0] not in ("record", "final") and slot not in self.inputs:
+                continue
             place = self.out.define(f"getelementptr ptr, ptr %table, i64 {k}")
             self.pointers[slot] = self.out.define(f"load ptr, ptr {place}")
         self.out.line("%self = alloca ptr")
@@ -119,6 +126,7 @@ class _Kernel:
                 dtype = self.graph.dtype(number)
                 self.scalars[number] = self.out.load(self.pointers[slot], dtype, False)
         self.compute(n for n, varies in self.varies.items() if varies == (False, False))
+        self.groups.fill(False)
         for number, offset in self.layout.constants.items():
             node = self.graph.nodes[number]
             with self.layout.on(self.layout.register // node.dtype.itemsize):
@@ -129,19 +137,22 @@ class _Kernel:
     def _begin(self) -> None:
         """For each block of lanes: its first state, and what varies over lanes only."""
         self.out.label("block")
-        self.out.line("%lane = phi i64 [ %first, %entry ], [ %next_lane, %finish ]")
+        entry = self.groups.block or "entry"
+        self.out.line(f"%lane = phi i64 [ %first, %{entry} ], [ %next_lane, %finish ]")
         self.out.line("%asked = load volatile i64, ptr %limit")
         self.out.line("%wanted = icmp sge i64 %asked, 0")
         self.out.line("%within = icmp slt i64 %lane, %last")
         self.out.line("%begun = and i1 %wanted, %within")
         self.out.line("br i1 %begun, label %begin, label %done")
         self.out.label("begin")
+        self.groups.block = "begin"
         for slot, number in self.inputs.items():
             if slot[0] == "lane":
                 dtype = self.graph.dtype(number)
                 place = self.out.offset(self.pointers[slot], dtype, "%lane")
                 self.vectors[number] = self.out.load(place, dtype, True)
         self.compute(n for n, varies in self.varies.items() if varies == (False, True))
+        self.groups.fill(True)
         for i, number in enumerate(self.loop.begin):
             self._keep(i, self.operand(number, True), "0")
         for number, offset in self.layout.fixed.items():
@@ -163,12 +174,12 @@ class _Kernel:
 
     def _advance(self) -> None:
         """For each step: the next state."""
-        rows = 1 if self.loop.first else 0
+        rows, begun = 1 if self.loop.first else 0, f"%{self.groups.block}"
         self.out.label("time")
-        self.out.line("%k = phi i64 [ 0, %begin ], [ %next_k, %advanced ]")
-        self.out.line("%left = phi i64 [ %every, %begin ], [ %next_left, %advanced ]")
-        self.out.line(f"%saved = phi i64 [ {rows}, %begin ], [ %next_saved, %advanced ]")
-        self.out.line("%now = phi i64 [ 0, %begin ], [ %next, %advanced ]")
+        self.out.line(f"%k = phi i64 [ 0, {begun} ], [ %next_k, %advanced ]")
+        self.out.line(f"%left = phi i64 [ %every, {begun} ], [ %next_left, %advanced ]")
+        self.out.line(f"%saved = phi i64 [ {rows}, {begun} ], [ %next_saved, %advanced ]")
+        self.out.line(f"%now = phi i64 [ 0, {begun} ], [ %next, %advanced ]")
         self.out.line(f"%next = sub i64 {self.layout.half}, %now")
         self.out.line("%steps = load volatile i64, ptr %limit")
         self.out.line("%running = icmp slt i64 %k, %steps")
@@ -180,6 +191,8 @@ class _Kernel:
                 self._read(slot, number)
         self.compute(self.body.scalars)
         self.spreads: dict[tuple[int, int], str] = {}
+        for group in self.body.groups:
+            self.groups.reserve(group)
         self._make()
         self.out.line("%next_k = add i64 %k, 1")
         self.out.line("%fewer = sub i64 %left, 1")
@@ -193,18 +206,21 @@ class _Kernel:
             carry.setdefault(number, []).append(i)
         whole = {n: self.layout.home(places[0], "%next") for n, places in carry.items()}
         for n in self.body.leaving - carry.keys():
-            whole[n] = (
-                self.layout.frame.place(n, self.layout.size(self.graph.dtype(n))),
-                "0",
-            )
+            whole[n] = self.groups.home(n), "0"
+        listed = self.groups.stored(self.layout.made)
         home = {
             v: (offset + self.layout.first(v), base)
-            for n, (offset, base) in whole.items()
+            for n, (offset, base) in (
+                {n: (places[0], "0") for n, places in listed.items()} | whole
+            ).items()
             for v in self.layout.parts(n)
         }
         self.parts: dict[Part, str] = {}
         for event in self.layout.step.events:
             value = event.value
+            if event.instruction is not None and event.instruction.op == "group":
+                self._loop(self.body.groups[value.place])
+                continue
             dtype, lanes = self.graph.dtype(value.number), self.layout.lanes(value.number)
             with self.layout.on(lanes):
                 if event.action == "load" and value.number not in self.layout.made:
@@ -228,15 +244,28 @@ class _Kernel:
                         self.layout.put(
                             self.parts[value], self.layout.at(*home[value]), dtype
                         )
+                    for offset in listed.get(value.number, ()):
+                        place = self.layout.at(offset + self.layout.first(value))
+                        self.layout.put(self.parts[value], place, dtype)
         for number in carry.keys() - self.layout.made:
             with self.layout.on(self.layout.lanes(number)):
                 for value in self.layout.parts(number):
-                    given = (
-                        self._given(value) if self._differs(number) else self._alike(number)
-                    )
+                    given = self._lasting(value)
                     for i in carry[number]:
                         self._keep_part(i, value, given)
         self.leaving = {n: whole[n] for n in self.body.leaving}
+
+    def _loop(self, group: Group) -> None:
+        """A group of a step, whose registers are free."""
+        for number, array, k in self.groups.given(group, self.layout.made):
+            if not array.wide:
+                self.groups.put(number, array, k)
+                continue
+            with self.layout.on(self.layout.lanes(number)):
+                for value in self.layout.parts(number):
+                    place = self.groups.place(array, k, self.layout.first(value))
+                    self.layout.put(self._lasting(value), place, self.graph.dtype(number))
+        self.groups.call(group)
 
     def _keep_part(self, i: int, value: Part, name: str) -> None:
         offset, base = self.layout.home(i, "%next")
@@ -313,6 +342,11 @@ class _Kernel:
     def _given(self, value: Part) -> str:
         """A part of what a step does not make, and what is another for each lane."""
         number, node = value.number, self.graph.nodes[value.number]
+        if node.op in LOOPED and self.varies[number][0]:
+            place = self.layout.at(
+                self.groups.home(number) + self.layout.first(value), turn=True
+            )
+            return self.layout.got(place, node.dtype)
         if number in self.layout.fixed:
             place = self.layout.at(
                 self.layout.fixed[number] + self.layout.first(value), turn=True
@@ -378,6 +412,7 @@ class _Kernel:
         for slot, number in self.inputs.items():
             if slot[0] == "carry":
                 self._read(slot, number)
+        self.groups.forget()
         self.compute(self.body.moving(self.graph.reachable(list(self.loop.final))))
         self._write("final", self.loop.final, "0")
         self.out.line(f"%next_lane = add i64 %lane, {self.out.width}")

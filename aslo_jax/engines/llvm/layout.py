@@ -1,13 +1,15 @@
 """The memory of a kernel: what a step reads lies in a frame of its own."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ..backend.grouping import LOOPED, entries
 from ..backend.splitting import Part
 from ..backend.step import Step
 from ..ir.rewrite import carries
+from ..ir.selection import Instruction
 from .frame import Frame
 from .writer import Writer
 
@@ -34,9 +36,9 @@ class Layout:
         instructions = [e.instruction for e in self.step.events if e.instruction]
         end = len(instructions)
         made = {x.result: time for time, x in enumerate(instructions)}
-        read = {a: time for time, x in enumerate(instructions) for a in x.args}
+        read = {a: time for time, x in enumerate(instructions) for a in self._read(x)}
         self.made = {v.number for v in made}
-        outside = {a for n in self.body.record for a in self.graph.nodes[n].args}
+        outside = {a for n in self.body.record for a in self._single(n)}
         outside |= {*self.loop.carry, *self.loop.record}
         read |= {v: end for n in outside for v in self.parts(n)}
         numbers = dict.fromkeys(v.number for v in read)
@@ -69,6 +71,20 @@ class Layout:
                 self.constants[number] = self.frame.place(number, self.register)
             elif self.varies[number] == (False, True):
                 self.fixed[number] = self.frame.place(number, self.size(node.dtype))
+
+    def _read(self, instruction: Instruction[Part]) -> Sequence[Part]:
+        """What an instruction reads: one that is a group, of what changes over time."""
+        if instruction.op != "group":
+            return instruction.args
+        array = entries(self.graph, [self.body.groups[instruction.result.place]])
+        return [v for n in array if self.varies[n][0] for v in self.parts(n)]
+
+    def _single(self, number: int) -> Sequence[int]:
+        """The arguments of a node that are not only in arrays."""
+        args = self.graph.nodes[number].args
+        if self.graph.nodes[number].op not in LOOPED:
+            return args
+        return [a for a in args if self.varies[a][0]]
 
     def size(self, dtype: np.dtype) -> int:
         """Bytes of a value of all lanes in the frame, a mask as wide as doubles."""

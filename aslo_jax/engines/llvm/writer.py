@@ -55,6 +55,14 @@ class Writer:
     def line(self, text: str) -> None:
         self.lines.append("  " + text)
 
+    def next_block(self) -> str:
+        """Goes on in a basic block of its own: its name."""
+        self._count += 1
+        name = f"block{self._count}"
+        self.line(f"br label %{name}")
+        self.label(name)
+        return name
+
     def define(self, text: str) -> str:
         """A new name for the value of an instruction."""
         self._count += 1
@@ -221,8 +229,8 @@ class Writer:
         self.declarations.add(f"declare {kind} @llvm.{name}.{suffix}({', '.join(types)})")
         return self.define(f"call {kind} @llvm.{name}.{suffix}({', '.join(given)})")
 
-    def lookup(self, values: np.ndarray, index: str, vector: bool) -> str:
-        """The entry of a table of constants at `index` (int64), lane by lane."""
+    def table(self, values: np.ndarray) -> str:
+        """The name of a table of constants."""
         stored = values.astype(np.uint8) if values.dtype == np.bool_ else values
         kind = self.type(stored.dtype, False)
         key = kind.encode() + stored.tobytes()
@@ -230,7 +238,11 @@ class Writer:
             name, whole = f"@table{len(self.tables)}", f"[{len(stored)} x {kind}]"
             entries = ", ".join(f"{kind} {literal(x)}" for x in stored)
             self.tables[key] = name, f"{name} = private constant {whole} [{entries}]"
-        name, _ = self.tables[key]
+        return self.tables[key][0]
+
+    def lookup(self, values: np.ndarray, index: str, vector: bool) -> str:
+        """The entry of a table of constants at `index` (int64), lane by lane."""
+        kind, name = self.stored(values.dtype, False), self.table(values)
 
         def entry(place: str) -> str:
             pointer = self.define(f"getelementptr {kind}, ptr {name}, i64 {place}")
