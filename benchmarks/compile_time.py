@@ -12,7 +12,7 @@ import numpy as np
 import aslo_jax as aslo
 from aslo_jax.engines import Runner
 
-from . import loops, motor_loop, timing
+from . import loops, timing
 
 BOUNDS = {32: 4.0, 64: 10.0}  # seconds of a processor, by the units of two layers
 FASTER = 5.0  # times `scan`, with the most units
@@ -61,6 +61,8 @@ def _first(make) -> float:
 def main() -> list[str]:
     """Print the seconds; return what does not hold."""
     jax.config.update("jax_enable_x64", True)
+    from . import motor_loop  # makes its arrays in double precision
+
     failures = []
     print(f"Time of a processor to trace, compile and run once ({timing.load()})")
     for units, bound in BOUNDS.items():
