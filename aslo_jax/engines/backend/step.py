@@ -11,13 +11,7 @@ from .cost import cycles
 from .scheduling import depth_first, ordered
 from .spilling import Event, planned
 from .splitting import Part, in_parts
-
-# Registers, by their bytes: of AVX2, and of AVX-512.
-HOLDING = {32: 16, 64: 32}
-# Of more instructions than that, a processor decodes each anew in every step. On AVX2 the
-# loop with five observers takes 2,430 for eight lanes in one order and 2,040 in the other,
-# which runs 1.8 times as fast.
-DECODED = 2_400
+from .target import Target
 
 
 class Body:
@@ -50,11 +44,11 @@ class Body:
 
 
 class Step:
-    """A body for `width` lanes at a time, in registers of so many bytes: `events` are how
-    it makes its vectors, in the order that promises to be faster."""
+    """A body for `width` lanes at a time, on a target: `events` are how it makes
+    its vectors, in the order that promises to be faster."""
 
-    def __init__(self, body: Body, width: int, register: int):
-        self.body, self.width, self.register = body, width, register
+    def __init__(self, body: Body, width: int, target: Target):
+        self.body, self.width, self.target = body, width, target
         self._counts: dict[int, int] = {}
         self.events = self._planned()
 
@@ -67,7 +61,7 @@ class Step:
                 count = max(map(self.parts, node.args))
             else:
                 size = 8 if node.dtype == np.bool_ else node.dtype.itemsize
-                count = -(-self.width * size // self.register)
+                count = -(-self.width * size // self.target.register)
             self._counts[number] = count
         return self._counts[number]
 
@@ -80,8 +74,9 @@ class Step:
             instructions = selected(loop.graph, order, stored)
             values = {v for x in instructions for v in (x.result, *x.args)}
             alike = {v for v in values if not self.body.varies[v][1]}
-            made = in_parts(instructions, {v: self.parts(v) for v in values}, alike)
-            return list(planned(made, kept, HOLDING[self.register]))
+            counts = {v: self.parts(v) for v in values}
+            made = in_parts(instructions, counts, alike, self.target.turn)
+            return list(planned(made, kept, self.target.registers))
 
         plans = map(plan, self.body.orders)
         return min(plans, key=lambda events: cycles(loop, events))
@@ -91,9 +86,9 @@ class Step:
         return sum(e.action in ("load", "store", "do") for e in self.events)
 
 
-def chosen(loop: Loop, widths: Sequence[int], register: int) -> Step:
+def chosen(loop: Loop, widths: Sequence[int], target: Target) -> Step:
     """A step for the most lanes at a time of which the processor keeps the instructions, or
     else for those that need the fewest. No bits depend on it."""
     body = Body(loop)
-    steps = [Step(body, width, register) for width in sorted(widths, reverse=True)]
-    return min(steps, key=lambda step: max(step.instructions(), DECODED))
+    steps = [Step(body, width, target) for width in sorted(widths, reverse=True)]
+    return min(steps, key=lambda step: max(step.instructions(), target.decoded))

@@ -13,7 +13,7 @@ from .host import compiled, run_in_threads
 class Kernel:
     def __init__(self, step: Step):
         self.loop, self.width = step.body.loop, step.width
-        self._function = compiled(emit(step))
+        self._function = compiled(emit(step), step.target.features)
 
     def __call__(
         self,
