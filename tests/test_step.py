@@ -6,6 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from aslo_jax.engines.backend.cost import LINE_CYCLES, PRODUCTS, cycles
+from aslo_jax.engines.backend.step import Body, Step, chosen
 from aslo_jax.engines.backend.target import AVX2, AVX512
 from aslo_jax.engines.fused.program import Bodies, Program
 from aslo_jax.engines.runtime.host import target
@@ -143,7 +145,10 @@ def test_no_bits_depend_on_the_bytes_of_a_register(bodies, widths, holding):
 def test_long_steps_take_fewer_lanes_at_a_time():
     made = lambda on: Program.of(WHOLE, {"lane": (REAL, REAL)}, (4, 8), target=on)
     a, b = np.random.default_rng(4).normal(size=(2, 13))
-    wide, narrow = made(AVX2), made(AVX2._replace(decoded=10))
+    wide = made(AVX2)
+    one = Step(Body(wide.loop), 4, AVX2)
+    short = AVX2._replace(decoded=one.instructions(), fetched=0.5)
+    narrow = made(short)
     assert (wide.width, narrow.width) == (8, 4)
     both = (p({"lane": (a, b)}, 13, 6) for p in (wide, narrow))
     for x, y in zip(*map(jax.tree.leaves, both), strict=True):
@@ -168,3 +173,29 @@ def test_a_record_reads_the_log_of_a_lane():
         np.testing.assert_allclose(second[:, k], 2.0 * log[:, k] + x, rtol=1e-14)
         x = 0.5 * x + log[:, k]
     np.testing.assert_allclose(final, x, rtol=1e-14)
+
+
+def test_the_step_is_taken_that_promises_the_fewest_cycles_a_lane():
+    """Among all orders and widths, for processors that are short of different things."""
+    loop = Program.of(WHOLE, {"lane": (REAL, REAL)}, (4,)).loop
+    body = Body(loop)
+    for on in (AVX2, AVX512, AVX512._replace(cache=2_000), AVX2._replace(decoded=300)):
+        both = [Step(body, w, on, o) for w in on.widths for o in body.orders]
+        assert chosen(loop, on.widths, on).cycles == min(step.cycles for step in both)
+
+
+def test_a_step_takes_as_long_as_what_the_processor_is_short_of():
+    """Products, loads, room in the caches: never less than each of these by itself."""
+    body = Body(Program.of(WHOLE, {"lane": (REAL, REAL)}, (8,)).loop)
+    events = Step(body, 8, AVX512, body.orders[0]).events
+    ops = [e.instruction.op for e in events if e.instruction]
+    products = sum(op in PRODUCTS for op in ops)
+    loads = sum(e.action == "load" for e in events)
+    count = sum(e.action in ("load", "store", "do") for e in events)
+    free = AVX512._replace(products=9, loads=9, rate=9.0, ahead=1_000)
+    longest = lambda **scarce: cycles(body.loop, events, free._replace(**scarce))
+    assert 10 < products < longest(products=1) < 2 * products + longest()
+    assert 0 < loads < longest(loads=1)
+    assert longest(decoded=count, fetched=0.5) == longest()
+    assert longest(decoded=count - 1, fetched=0.5) == 2.0 * count
+    assert longest(cache=64) - longest(cache=128) == LINE_CYCLES

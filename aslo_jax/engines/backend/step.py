@@ -1,6 +1,7 @@
 """A step of a loop for some lanes at a time: what its vectors are made of, in which order,
 and which of them wait in memory."""
 
+import functools
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -47,10 +48,12 @@ class Step:
     """A body for `width` lanes at a time, on a target: `events` are how it makes
     its vectors, in the order that promises to be faster."""
 
-    def __init__(self, body: Body, width: int, target: Target):
+    def __init__(
+        self, body: Body, width: int, target: Target, order: Sequence[int] | None = None
+    ):
         self.body, self.width, self.target = body, width, target
         self._counts: dict[int, int] = {}
-        self.events = self._planned()
+        self.events = self._planned(body.orders[0] if order is None else order)
 
     def parts(self, number: int) -> int:
         """How many registers the lanes of a node fill; those of a mask, as many as what it
@@ -65,21 +68,21 @@ class Step:
             self._counts[number] = count
         return self._counts[number]
 
-    def _planned(self) -> list[Event[Part]]:
+    def _planned(self, order: Sequence[int]) -> list[Event[Part]]:
         loop = self.body.loop
         stored = self.body.leaving | set(loop.carry)
         kept = {Part(n, k) for n in stored for k in range(self.parts(n))}
+        instructions = selected(loop.graph, order, stored)
+        values = {v for x in instructions for v in (x.result, *x.args)}
+        alike = {v for v in values if not self.body.varies[v][1]}
+        counts = {v: self.parts(v) for v in values}
+        made = in_parts(instructions, counts, alike, self.target.turn)
+        return list(planned(made, kept, self.target.registers))
 
-        def plan(order: list[int]) -> list[Event[Part]]:
-            instructions = selected(loop.graph, order, stored)
-            values = {v for x in instructions for v in (x.result, *x.args)}
-            alike = {v for v in values if not self.body.varies[v][1]}
-            counts = {v: self.parts(v) for v in values}
-            made = in_parts(instructions, counts, alike, self.target.turn)
-            return list(planned(made, kept, self.target.registers))
-
-        plans = map(plan, self.body.orders)
-        return min(plans, key=lambda events: cycles(loop, events))
+    @functools.cached_property
+    def cycles(self) -> float:
+        """That it takes, estimated, for one lane."""
+        return cycles(self.body.loop, self.events, self.target) / self.width
 
     def instructions(self) -> int:
         """About how many it takes."""
@@ -87,8 +90,14 @@ class Step:
 
 
 def chosen(loop: Loop, widths: Sequence[int], target: Target) -> Step:
-    """A step for the most lanes at a time of which the processor keeps the instructions, or
-    else for those that need the fewest. No bits depend on it."""
-    body = Body(loop)
-    steps = [Step(body, width, target) for width in sorted(widths, reverse=True)]
-    return min(steps, key=lambda step: max(step.instructions(), target.decoded))
+    """A step for so many lanes at a time, and in that order, that one lane promises to take
+    the fewest cycles. No bits depend on it."""
+    body, best = Body(loop), None
+    for width in sorted(widths):
+        steps = (Step(body, width, target, order) for order in body.orders)
+        step = min(steps, key=lambda step: step.cycles)
+        if best is not None and best.cycles <= step.cycles:
+            break  # with more lanes still it is slower still
+        best = step
+    assert best is not None, "there is a width"
+    return best
