@@ -59,7 +59,7 @@ class Sampled:
             threads=threads,
         )
         if target is not None:
-            program = self._program
+            program = self.program
             program.target, program.widths = target, target.widths
 
     def __call__(self) -> np.ndarray:
@@ -69,15 +69,15 @@ class Sampled:
     def operations(self) -> int:
         """Of one step of one trajectory in the graph of the fused engine, a product with a
         sum counted as two."""
-        return self._program.operations
+        return self.program.operations
 
     @property
     def step(self) -> Any:
         """Of the kernel."""
-        return self._program._step
+        return self.program._step
 
     @property
-    def _program(self) -> Any:
+    def program(self) -> Any:
         """The one place that looks inside the engine."""
         fused = self.runner._fused
         assert fused is not None, "no other engine has a program"
