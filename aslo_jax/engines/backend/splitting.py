@@ -1,4 +1,5 @@
-"""A step for several registers of lanes, which take turns.
+"""A step for several registers of lanes, which take turns (interleaving of unrolled vector
+iterations).
 
 Operation by operation, each on all registers, would need room for the values of all at
 once. Turn by turn, each register has most of the room, and the processor still finds the

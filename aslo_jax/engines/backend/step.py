@@ -1,5 +1,5 @@
 """A step of a loop for some lanes at a time: what its vectors are made of, in which order,
-and which of them wait in memory."""
+and which of them wait in memory (unroll factor, schedule and spill code)."""
 
 import functools
 from collections.abc import Iterable, Sequence

@@ -1,5 +1,6 @@
 """What the end of a step has computed is not computed again at the start of the next
-(predictive commoning)."""
+(predictive commoning).
+"""
 
 import dataclasses
 from collections.abc import Iterable

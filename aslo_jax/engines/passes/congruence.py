@@ -1,5 +1,6 @@
 """Entries of the carry that are always equal become one (congruence of loop-carried
-values)."""
+values).
+"""
 
 from ..ir.loop import Loop
 from ..ir.rewrite import carries, rebuilt, replaced

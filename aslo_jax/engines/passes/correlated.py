@@ -1,4 +1,6 @@
-"""Choices between values where it is known which one is taken."""
+"""Choices between values where it is known which one is taken (correlated value
+propagation).
+"""
 
 from collections.abc import Iterator
 

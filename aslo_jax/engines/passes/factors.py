@@ -1,5 +1,6 @@
 """A loop with fewer products in a step: factors that do not change over time are taken out
-of products and sums (`terms`), and meet each other before the loop.
+of products and sums (`terms`), and meet each other before the loop
+(reassociation and factoring, with motion of loop-invariant code).
 
 An entry of the carry may be kept without its factor, or with one that its next value is
 needed times. Results differ by rounding only, where no product of factors overflows.

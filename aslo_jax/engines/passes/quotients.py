@@ -1,4 +1,6 @@
-"""Comparisons of quotients with constants, without the division."""
+"""Comparisons of quotients with constants, without the division (strength reduction:
+division elimination).
+"""
 
 from collections.abc import Mapping
 

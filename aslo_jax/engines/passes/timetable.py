@@ -1,5 +1,6 @@
 """What a step needs and is the same for all lanes: computed for all steps beforehand
-(precomputation of what is uniform over the vector)."""
+(precomputation of what is uniform over the vector: uniformity analysis and hoisting).
+"""
 
 import dataclasses
 
