@@ -4,7 +4,17 @@
 import functools
 import sys
 
-from . import compile_time, import_time, peers, pmsm, replay, reversal, systems, tuning
+from . import (
+    ablation,
+    compile_time,
+    import_time,
+    peers,
+    pmsm,
+    replay,
+    reversal,
+    systems,
+    tuning,
+)
 
 FLAGS = {"--quick", "--install"}
 quick = "--quick" in sys.argv
@@ -14,6 +24,7 @@ BENCHMARKS = {
     "replay": replay.main,
     "reversal": reversal.main,
     "systems": systems.main,
+    "ablation": ablation.main,
     "peers": functools.partial(peers.main, "--install" in sys.argv),
     "pmsm": functools.partial(pmsm.main, quick),
     "tuning": functools.partial(tuning.main, quick),

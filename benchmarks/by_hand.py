@@ -30,6 +30,7 @@ SOURCE = Path(__file__).with_name("pmsm.c")
 FLAGS = ["-O3", "-march=native", "-fno-math-errno", "-fopenmp", "-shared", "-fPIC"]
 # What GCC leaves out at -O3: with it, operations of the interleaved vectors take turns.
 SCHEDULED = ["-fschedule-insns", "-fsched-pressure"]
+NARROW = ["-mno-avx512f"]  # registers of 32 bytes on a host that has wider ones
 WIDEST = 4  # vectors that are interleaved: 1, 2 or 4, the fastest counts
 
 
@@ -120,7 +121,7 @@ class ByHand:
         """Of one step of one trajectory: the arithmetic, comparing and selecting vector
         instructions in the loop, a product with a sum counted as two."""
         path = self.folder / "pmsm.s"
-        subprocess.run(self._command(1, "-S", "-o", str(path)), check=True)
+        subprocess.run(self._command(1, *self.more, "-S", "-o", str(path)), check=True)
         text = path.read_text()
         name = "noisy" if noisy else "quiet"
         body = text[text.index(f"\n{name}:") :].split("# step begins", 1)[1]

@@ -35,7 +35,17 @@ class Sampled:
     """A function without arguments, traced now and compiled in its first call: what is kept
     of the last sample."""
 
-    def __init__(self, work: Work, engine: str, batch, steps: int, threads=None, **choice):
+    def __init__(
+        self,
+        work: Work,
+        engine: str,
+        batch,
+        steps: int,
+        threads=None,
+        target=None,
+        **choice,
+    ):
+        """For a target of the fused engine, or for this host."""
         from aslo_jax.engines import Runner
 
         self.batch = batch
@@ -48,6 +58,9 @@ class Sampled:
             engine=engine,
             threads=threads,
         )
+        if target is not None:
+            program = self.program
+            program.target, program.widths = target, target.widths
 
     def __call__(self) -> np.ndarray:
         return np.asarray(self.runner(self.batch).record)[:, -1]
@@ -55,10 +68,20 @@ class Sampled:
     @property
     def operations(self) -> int:
         """Of one step of one trajectory in the graph of the fused engine, a product with a
-        sum counted as two. The one place that looks inside the engine."""
+        sum counted as two."""
+        return self.program.operations
+
+    @property
+    def step(self) -> Any:
+        """Of the kernel."""
+        return self.program._step
+
+    @property
+    def program(self) -> Any:
+        """The one place that looks inside the engine."""
         fused = self.runner._fused
-        assert fused is not None, "no other engine has a graph"
-        return fused.program.operations
+        assert fused is not None, "no other engine has a program"
+        return fused.program
 
 
 def exact(work: Work, batch, steps: int, **choice: Any):

@@ -18,13 +18,22 @@ def table(head: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
 def headline(figures: dict[str, Any]) -> str:
     rows = []
     for r in figures["rows"]:
-        fused = pmsm.speed(figures, "fused", r["noisy"], r["threads"])
+        register = r.get("register", figures["register"])
+        fused = pmsm.speed(figures, "fused", r["noisy"], r["threads"], register)
         errors = " ".join(f"{e:.0e}" for e in r["errors"])
         noise = "yes" if r["noisy"] else "no"
         threads = 1 if r["engine"].startswith("SciPy") else r["threads"]
         speed, ratio = f"{r['speed']:.3g}", f"{fused / r['speed']:.3g}"
-        rows.append([r["engine"], noise, threads, speed, ratio, errors])
-    head = "engine", "noise", "threads", "million steps/s", "fused over it", "errors (Wb)"
+        rows.append([r["engine"], register, noise, threads, speed, ratio, errors])
+    head = (
+        "engine",
+        "bytes",
+        "noise",
+        "threads",
+        "million steps/s",
+        "fused over it",
+        "errors (Wb)",
+    )
     return table(head, rows)
 
 

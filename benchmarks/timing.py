@@ -27,6 +27,21 @@ def interleaved(
     return {name: statistics.median(s) for name, s in seconds.items()}, values
 
 
+def ratios(contenders: Mapping[Any, Callable[[], Any]], rounds: int) -> dict[Any, float]:
+    """The median over rounds of the seconds of each contender over those of the first one
+    in the same round, after a first call that compiles; every round has another order."""
+    order, shuffle = list(contenders), random.Random(0).shuffle
+    first, found = order[0], {name: [] for name in contenders}
+    for run in contenders.values():
+        run()
+    for _ in range(rounds):
+        shuffle(order)
+        seconds = {name: _seconds(contenders[name], 3) for name in order}
+        for name in order:
+            found[name].append(seconds[name] / seconds[first])
+    return {name: statistics.median(values) for name, values in found.items()}
+
+
 def _seconds(run: Callable[[], Any], repeats: int) -> float:
     start = time.perf_counter()
     for _ in range(repeats):

@@ -105,3 +105,14 @@ def forget_compiled_code() -> Iterator[None]:
     """A worker that keeps the compiled code of every test ends with more than 4 GB."""
     yield
     jax.clear_caches()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def verified_loops() -> Iterator[None]:
+    """Every loop that is optimised in this process is checked after each of its passes."""
+    from aslo_jax.engines import passes
+    from aslo_jax.engines.ir.verifier import verify
+
+    before, passes.CHECK = passes.CHECK, lambda name, loop: verify(loop)
+    yield
+    passes.CHECK = before

@@ -6,7 +6,6 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given, settings
 
-from aslo_jax.engines.backend import splitting
 from aslo_jax.engines.backend.splitting import Part, in_parts, parts_of
 from aslo_jax.engines.ir.selection import Instruction
 
@@ -38,10 +37,10 @@ def lanes(part, counts, most):
     return set(range(part.place * many, (part.place + 1) * many))
 
 
-def checked(instructions, counts):
+def checked(instructions, counts, turn=36):
     """The instructions in parts: each part of a result once, of the lanes that it has of
     each argument, and after them."""
-    found = in_parts(instructions, counts)
+    found = in_parts(instructions, counts, turn=turn)
     made = {x.result: x for x in instructions}
     most = max(counts.values())
     expected = {Part(n, k) for n in made for k in range(counts[n])}
@@ -69,11 +68,9 @@ def test_every_part_is_made_once_after_its_arguments(turn):
     @settings(max_examples=150)
     @given(programs())
     def test(program):
-        checked(*program)
+        checked(*program, turn)
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(splitting, "TURN", turn)
-        test()
+    test()
 
 
 @pytest.mark.parametrize(
@@ -130,23 +127,21 @@ def blocks(lengths):
 
 
 @pytest.mark.parametrize("turn", [4, 12, 40])
-def test_turns_end_where_few_values_wait(turn, monkeypatch):
+def test_turns_end_where_few_values_wait(turn):
     """Between two blocks only one value waits, and within a block two."""
-    monkeypatch.setattr(splitting, "TURN", turn)
     lengths = [turn, turn + turn // 4, 3 * turn // 4, turn, turn // 2, turn]
     program = blocks(lengths)
-    found = checked(program, dict.fromkeys(range(-1, len(program)), 2))
+    found = checked(program, dict.fromkeys(range(-1, len(program)), 2), turn)
     ends = [sum(lengths[: k + 1]) for k in range(len(lengths))]
     # What is left is no longer than one and a half turns, which takes the last two.
     assert cuts(found) == ends[:4]
 
 
-def test_of_ends_that_are_alike_the_one_after_a_turn_is_taken(monkeypatch):
-    monkeypatch.setattr(splitting, "TURN", 10)
+def test_of_ends_that_are_alike_the_one_after_a_turn_is_taken():
     chain = [Instruction(k, "any", (k - 1,)) for k in range(41)]
-    found = in_parts(chain, dict.fromkeys(range(-1, 41), 2))
+    found = in_parts(chain, dict.fromkeys(range(-1, 41), 2), turn=10)
     assert cuts(found) == [10, 20, 30]
-    short = in_parts(chain[:15], dict.fromkeys(range(-1, 15), 2))
+    short = in_parts(chain[:15], dict.fromkeys(range(-1, 15), 2), turn=10)
     assert cuts(short) == []
     first = [x.result for x in short[:15]]
     assert first == [Part(k, 0) for k in range(15)]

@@ -6,10 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from aslo_jax.engines.backend import step
-from aslo_jax.engines.fused import program as programs
+from aslo_jax.engines.backend.cost import LINE_CYCLES, PRODUCTS, cycles
+from aslo_jax.engines.backend.step import Body, Step, chosen
+from aslo_jax.engines.backend.target import AVX2, AVX512
 from aslo_jax.engines.fused.program import Bodies, Program
-from aslo_jax.engines.runtime.host import register
+from aslo_jax.engines.runtime.host import target
 
 REAL = jax.ShapeDtypeStruct((), np.float64)
 
@@ -92,21 +93,21 @@ def by_hand(a, b, steps, bodies=WHOLE):
     return stacked, bodies.finish(carry, inputs)
 
 
-def run(bodies, widths, lanes=21, steps=6):
-    """What a program finds, and what it was given."""
+def run(bodies, widths, lanes=21, steps=6, on=None):
+    """What a program finds, for a target or for this host, and what it was given."""
     a, b = np.random.default_rng(5).normal(size=(2, lanes))
-    program = Program.of(bodies, {"lane": (REAL, REAL)}, widths)
+    program = Program.of(bodies, {"lane": (REAL, REAL)}, widths, target=on)
     assert program.width in widths
     return jax.tree.leaves(program({"lane": (a, b)}, lanes, steps)), (a, b, steps)
 
 
 @pytest.mark.parametrize("holding", [2, 5, 14])
 @pytest.mark.parametrize("widths", [(2,), (4,), (8,), (4, 8)])
-def test_a_carry_in_memory(widths, holding, monkeypatch):
-    monkeypatch.setitem(step.HOLDING, register(), holding)
+def test_a_carry_in_memory(widths, holding):
+    few = target()._replace(registers=holding)
     rng = np.random.default_rng(3)
     a, b = rng.normal(size=(2, 13))
-    program = Program.of(WHOLE, {"lane": (REAL, REAL)}, widths)
+    program = Program.of(WHOLE, {"lane": (REAL, REAL)}, widths, target=few)
     record, final = program({"lane": (a, b)}, 13, 6)
     records, last = by_hand(a, b, 6)
     for ours, theirs in zip((*record, *final), (*records, *last), strict=True):
@@ -116,10 +117,10 @@ def test_a_carry_in_memory(widths, holding, monkeypatch):
 
 @pytest.mark.parametrize("holding", [2, 14])
 @pytest.mark.parametrize("widths", [(2,), (4,), (8,), (16,), (4, 8)])
-def test_values_of_32_bits_meet_values_of_64(widths, holding, monkeypatch):
+def test_values_of_32_bits_meet_values_of_64(widths, holding):
     """In one step, with conversions both ways and masks of both."""
-    monkeypatch.setitem(step.HOLDING, register(), holding)
-    found, (a, b, steps) = run(MIXED, widths)
+    few = target()._replace(registers=holding)
+    found, (a, b, steps) = run(MIXED, widths, on=few)
     expected = jax.tree.leaves(by_hand(a, b, steps, MIXED))
     for ours, theirs in zip(found, expected, strict=True):
         assert ours.dtype == theirs.dtype
@@ -132,25 +133,23 @@ def test_values_of_32_bits_meet_values_of_64(widths, holding, monkeypatch):
 @pytest.mark.parametrize("holding", [3, 28])
 @pytest.mark.parametrize("widths", [(8,), (16,), (32,)])
 @pytest.mark.parametrize("bodies", [WHOLE, MIXED], ids=["doubles", "mixed"])
-def test_no_bits_depend_on_the_bytes_of_a_register(bodies, widths, holding, monkeypatch):
+def test_no_bits_depend_on_the_bytes_of_a_register(bodies, widths, holding):
     """Registers of 64 bytes, each of which this host may make of two of its own."""
-    monkeypatch.setattr(programs, "register", lambda: 32)
-    narrow, _ = run(bodies, (4,))
-    monkeypatch.setattr(programs, "register", lambda: 64)
-    monkeypatch.setitem(step.HOLDING, 64, holding)
-    for ours, theirs in zip(run(bodies, widths)[0], narrow, strict=True):
+    narrow, _ = run(bodies, (4,), on=AVX2)
+    wide, _ = run(bodies, widths, on=AVX512._replace(registers=holding))
+    for ours, theirs in zip(wide, narrow, strict=True):
         assert ours.dtype == theirs.dtype
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_long_steps_take_fewer_lanes_at_a_time(monkeypatch):
-    made = lambda: Program.of(WHOLE, {"lane": (REAL, REAL)}, (4, 8))
+def test_long_steps_take_fewer_lanes_at_a_time():
+    made = lambda on: Program.of(WHOLE, {"lane": (REAL, REAL)}, (4, 8), target=on)
     a, b = np.random.default_rng(4).normal(size=(2, 13))
-    wide = made()
-    assert wide.width == 8
-    monkeypatch.setattr(step, "DECODED", 10)
-    narrow = made()
-    assert narrow.width == 4
+    wide = made(AVX2)
+    one = Step(Body(wide.loop), 4, AVX2)
+    short = AVX2._replace(decoded=one.instructions(), fetched=0.5)
+    narrow = made(short)
+    assert (wide.width, narrow.width) == (8, 4)
     both = (p({"lane": (a, b)}, 13, 6) for p in (wide, narrow))
     for x, y in zip(*map(jax.tree.leaves, both), strict=True):
         np.testing.assert_array_equal(x, y)
@@ -174,3 +173,29 @@ def test_a_record_reads_the_log_of_a_lane():
         np.testing.assert_allclose(second[:, k], 2.0 * log[:, k] + x, rtol=1e-14)
         x = 0.5 * x + log[:, k]
     np.testing.assert_allclose(final, x, rtol=1e-14)
+
+
+def test_the_step_is_taken_that_promises_the_fewest_cycles_a_lane():
+    """Among all orders and widths, for processors that are short of different things."""
+    loop = Program.of(WHOLE, {"lane": (REAL, REAL)}, (4,)).loop
+    body = Body(loop)
+    for on in (AVX2, AVX512, AVX512._replace(cache=2_000), AVX2._replace(decoded=300)):
+        both = [Step(body, w, on, o) for w in on.widths for o in body.orders]
+        assert chosen(loop, on.widths, on).cycles == min(step.cycles for step in both)
+
+
+def test_a_step_takes_as_long_as_what_the_processor_is_short_of():
+    """Products, loads, room in the caches: never less than each of these by itself."""
+    body = Body(Program.of(WHOLE, {"lane": (REAL, REAL)}, (8,)).loop)
+    events = Step(body, 8, AVX512, body.orders[0]).events
+    ops = [e.instruction.op for e in events if e.instruction]
+    products = sum(op in PRODUCTS for op in ops)
+    loads = sum(e.action == "load" for e in events)
+    count = sum(e.action in ("load", "store", "do") for e in events)
+    free = AVX512._replace(products=9, loads=9, rate=9.0, ahead=1_000)
+    longest = lambda **scarce: cycles(body.loop, events, free._replace(**scarce))
+    assert 10 < products < longest(products=1) < 2 * products + longest()
+    assert 0 < loads < longest(loads=1)
+    assert longest(decoded=count, fetched=0.5) == longest()
+    assert longest(decoded=count - 1, fetched=0.5) == 2.0 * count
+    assert longest(cache=64) - longest(cache=128) == LINE_CYCLES

@@ -1,5 +1,6 @@
 """The order of the operations of a step: which one comes next, for a processor that looks a
-hundred instructions ahead and has few registers."""
+hundred instructions ahead and has few registers (list scheduling, by the critical path or
+by register pressure)."""
 
 import heapq
 from collections.abc import Collection, Iterable

@@ -1,4 +1,5 @@
-"""Which values of a step wait in registers for their next use, and which in memory.
+"""Which values of a step wait in registers for their next use, and which in memory
+(spilling, by Belady's rule).
 
 LLVM allocates registers well in small loops. In a step of a thousand operations it stores
 twice as many values as it must.

@@ -1,4 +1,5 @@
-"""A step for several registers of lanes, which take turns.
+"""A step for several registers of lanes, which take turns (interleaving of unrolled vector
+iterations).
 
 Operation by operation, each on all registers, would need room for the values of all at
 once. Turn by turn, each register has most of the room, and the processor still finds the
@@ -9,10 +10,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from ..ir.selection import Instruction
-
-# Instructions in a turn, between half of this and half as many more: the end is where the
-# fewest values wait.
-TURN = 36
 
 
 class Part(NamedTuple):
@@ -26,10 +23,14 @@ def in_parts(
     instructions: Sequence[Instruction[int]],
     counts: Mapping[int, int],
     alike: Collection[int] = (),
+    turn: int = 36,
 ) -> list[Instruction[Part]]:
     """The instructions on parts of values, of which there are `counts`, powers of two, also
     for arguments that no instruction makes. An argument with more parts than the result
-    is given by several."""
+    is given by several.
+
+    In a `turn` there are half as many instructions or half as many more: its end is where
+    the fewest values wait."""
     most = max((counts[x.result] for x in instructions), default=1)
 
     def given(x: Instruction[int], place: int) -> Iterator[Part]:
@@ -40,9 +41,9 @@ def in_parts(
                 yield from parts_of(a, place, counts[x.result], counts[a])
 
     found = []
-    for turn in _turns(instructions, counts):
+    for some in _turns(instructions, counts, turn):
         for k in range(most):
-            for x in turn:
+            for x in some:
                 count = counts[x.result]
                 if k % (most // count) == 0:
                     result = Part(x.result, k * count // most)
@@ -57,7 +58,7 @@ def parts_of(number: int, place: int, count: int, own: int) -> list[Part]:
 
 
 def _turns(
-    instructions: Sequence[Instruction[int]], counts: Mapping[int, int]
+    instructions: Sequence[Instruction[int]], counts: Mapping[int, int], turn: int
 ) -> Iterator[Sequence[Instruction[int]]]:
     """The instructions, cut where few values wait, and before one that needs all parts of
     a value of the turn."""
@@ -66,9 +67,9 @@ def _turns(
     first = 0
     while first < len(instructions):
         end = len(instructions)
-        if end - first > 3 * TURN // 2:
-            ends = range(first + TURN // 2, first + 3 * TURN // 2)
-            end = min(ends, key=lambda t: (waiting[t], abs(t - first - TURN)))
+        if end - first > 3 * turn // 2:
+            ends = range(first + turn // 2, first + 3 * turn // 2)
+            end = min(ends, key=lambda t: (waiting[t], abs(t - first - turn)))
         for time in range(first + 1, end):
             x = instructions[time]
             wider = (a for a in x.args if counts[a] > counts[x.result])

@@ -1,6 +1,7 @@
 """A step of a loop for some lanes at a time: what its vectors are made of, in which order,
-and which of them wait in memory."""
+and which of them wait in memory (unroll factor, schedule and spill code)."""
 
+import functools
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 
@@ -13,13 +14,8 @@ from .grouping import LOOPED, entries, needed_later, phases
 from .scheduling import depth_first, ordered
 from .spilling import Event, planned
 from .splitting import Part, in_parts
+from .target import Target
 
-# Registers, by their bytes: of AVX2, and of AVX-512.
-HOLDING = {32: 16, 64: 32}
-# Of more instructions than that, a processor decodes each anew in every step. On AVX2 the
-# loop with five observers takes 2,430 for eight lanes in one order and 2,040 in the other,
-# which runs 1.8 times as fast.
-DECODED = 2_400
 # Bytes of arrays that are fixed over time, and different for each lane: half of a cache of
 # the second level, as small as it is today.
 CACHE = 2**18
@@ -74,14 +70,16 @@ class Body:
 
 
 class Step:
-    """A body for `width` lanes at a time, in registers of so many bytes: `events` are how
-    it makes its vectors, in the order that promises to be faster. The instruction `group`
-    with the result `Part(-1, k)` is the k-th group of the body."""
+    """A body for `width` lanes at a time, on a target: `events` are how it makes its
+    vectors, in the order that promises to be faster. The instruction `group` with the
+    result `Part(-1, k)` is the k-th group of the body."""
 
-    def __init__(self, body: Body, width: int, register: int):
-        self.body, self.width, self.register = body, width, register
+    def __init__(
+        self, body: Body, width: int, target: Target, order: Sequence[int] | None = None
+    ):
+        self.body, self.width, self.target = body, width, target
         self._counts: dict[int, int] = {}
-        self.events = self._planned()
+        self.events = self._planned(body.orders[0] if order is None else order)
 
     def parts(self, number: int) -> int:
         """How many registers the lanes of a node fill; those of a mask, as many as what it
@@ -92,40 +90,47 @@ class Step:
                 count = max(map(self.parts, node.args))
             else:
                 size = 8 if node.dtype == np.bool_ else node.dtype.itemsize
-                count = -(-self.width * size // self.register)
+                count = -(-self.width * size // self.target.register)
             self._counts[number] = count
         return self._counts[number]
 
-    def _planned(self) -> list[Event[Part]]:
+    def _planned(self, order: Sequence[int]) -> list[Event[Part]]:
         loop, stored = self.body.loop, self.body.stored
         kept = {Part(n, k) for n in stored for k in range(self.parts(n))}
         loops = {g.members[0]: k for k, g in enumerate(self.body.groups)}
+        instructions, made = selected(loop.graph, order, stored), []
+        for looped, some in groupby(instructions, lambda x: x.op in LOOPED):
+            if looped:
+                some = [loops[x.result] for x in some if x.result in loops]
+                made += [Instruction(Part(-1, k), "group", ()) for k in some]
+                continue
+            some = list(some)
+            values = {v for x in some for v in (x.result, *x.args)}
+            alike = {v for v in values if not self.body.varies[v][1]}
+            counts = {v: self.parts(v) for v in values}
+            made += in_parts(some, counts, alike, self.target.turn)
+        return list(planned(made, kept, self.target.registers))
 
-        def plan(order: list[int]) -> list[Event[Part]]:
-            instructions, made = selected(loop.graph, order, stored), []
-            for looped, some in groupby(instructions, lambda x: x.op in LOOPED):
-                if looped:
-                    some = [loops[x.result] for x in some if x.result in loops]
-                    made += [Instruction(Part(-1, k), "group", ()) for k in some]
-                    continue
-                some = list(some)
-                values = {v for x in some for v in (x.result, *x.args)}
-                alike = {v for v in values if not self.body.varies[v][1]}
-                made += in_parts(some, {v: self.parts(v) for v in values}, alike)
-            return list(planned(made, kept, HOLDING[self.register]))
-
-        plans = map(plan, self.body.orders)
-        return min(plans, key=lambda events: cycles(loop, events))
+    @functools.cached_property
+    def cycles(self) -> float:
+        """That it takes, estimated, for one lane."""
+        return cycles(self.body.loop, self.events, self.target) / self.width
 
     def instructions(self) -> int:
         """About how many it takes."""
         return sum(e.action in ("load", "store", "do") for e in self.events)
 
 
-def chosen(loop: Loop, widths: Sequence[int], register: int) -> Step:
-    """A step for the most lanes at a time of which the processor keeps the instructions, or
-    else for those that need the fewest. No bits depend on it."""
-    body = Body(loop)
+def chosen(loop: Loop, widths: Sequence[int], target: Target) -> Step:
+    """A step for so many lanes at a time, and in that order, that one lane promises to take
+    the fewest cycles. No bits depend on it."""
+    body, best = Body(loop), None
     fitting = [w for w in widths if w * body.lane_bytes <= CACHE] or [min(widths)]
-    steps = [Step(body, width, register) for width in sorted(fitting, reverse=True)]
-    return min(steps, key=lambda step: max(step.instructions(), DECODED))
+    for width in sorted(fitting):
+        steps = (Step(body, width, target, order) for order in body.orders)
+        step = min(steps, key=lambda step: step.cycles)
+        if best is not None and best.cycles <= step.cycles:
+            break  # with more lanes still it is slower still
+        best = step
+    assert best is not None, "there is a width"
+    return best

@@ -3,7 +3,7 @@
 import functools
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -11,12 +11,13 @@ import numpy as np
 from jaxtyping import PyTree
 
 from ..backend.step import Body, Step, chosen
+from ..backend.target import Target
 from ..frontend.lower import check_numbers, flatten
 from ..ir.graph import Graph
 from ..ir.loop import Loop, varying
 from ..passes import optimised
 from ..runtime.columns import COLUMNS, blank, columns_of, gathered, stored
-from ..runtime.host import available_threads, register
+from ..runtime.host import available_threads, target as of_host
 from ..runtime.kernel import Kernel
 
 KINDS = ("shared", "lane", "log", "lane log")
@@ -112,12 +113,22 @@ class Program:
     """A loop, compiled when it is first called: `record` and `final` are trees of shapes
     and types of what the nodes of the loop mean.
 
-    It can be sent to other processes, which compile it for themselves."""
+    It can be sent to other processes, which compile it for themselves. `target` is the host
+    that compiles where none is given, and `without` names passes that are left out."""
 
-    def __init__(self, loop: Loop, record: PyTree, final: PyTree, widths: Sequence[int]):
+    def __init__(
+        self,
+        loop: Loop,
+        record: PyTree,
+        final: PyTree,
+        widths: Sequence[int],
+        *,
+        target: Target | None = None,
+        without: Collection[str] = (),
+    ):
         self.raw = loop
         self.record, self.final = record, final
-        self.widths = widths
+        self.widths, self.target, self.without = widths, target, without
 
     def __getstate__(self) -> dict[str, Any]:
         """Without machine code, and what is quickly made again."""
@@ -129,13 +140,14 @@ class Program:
     def loop(self) -> Loop:
         """The one that is compiled."""
         with _COMPILING:
-            return optimised(self.raw)
+            return optimised(self.raw, without=self.without)
 
     @functools.cached_property
     def _kernels(self) -> tuple[Kernel, Kernel | None, Kernel | None]:
         """The loop, and what makes its timetable."""
         beside, along = self.loop.tables
-        step = lambda loop, width: Kernel(Step(Body(loop), width, register()))
+        target = self._step.target
+        step = lambda loop, width: Kernel(Step(Body(loop), width, target))
         return (
             Kernel(self._step),
             None if beside is None else step(beside, self.width),
@@ -149,7 +161,7 @@ class Program:
 
     @functools.cached_property
     def _step(self) -> Step:
-        return chosen(self.loop, self.widths, register())
+        return chosen(self.loop, self.widths, self.target or of_host())
 
     @property
     def width(self) -> int:
@@ -158,9 +170,14 @@ class Program:
 
     @classmethod
     def of(
-        cls, bodies: Bodies, inputs: dict[str, PyTree], widths: Sequence[int]
+        cls,
+        bodies: Bodies,
+        inputs: dict[str, PyTree],
+        widths: Sequence[int],
+        **choice: Any,
     ) -> "Program":
-        """Of functions, traced for inputs of the given shapes."""
+        """Of functions, traced for inputs of the given shapes; further arguments as of
+        `Program`."""
         traced = trace(bodies, inputs)
         given = Inputs(traced.carry, inputs)
         graph, size = given.graph, len(given.carry)
@@ -176,7 +193,7 @@ class Program:
             first=flat(begin[size:]),
             final=flat(finish),
         )
-        return cls(loop, traced.record, traced.final, widths)
+        return cls(loop, traced.record, traced.final, widths, **choice)
 
     @property
     def operations(self) -> int:

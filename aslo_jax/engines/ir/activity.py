@@ -1,4 +1,5 @@
-"""Which entries of the carry of a loop may depend on which of its inputs."""
+"""Which entries of the carry of a loop may depend on which of its inputs (activity
+analysis)."""
 
 from .graph import COMPARISONS
 from .loop import Loop

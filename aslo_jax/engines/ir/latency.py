@@ -1,4 +1,4 @@
-"""How many cycles operations take until their result is there."""
+"""How many cycles operations take until their result is there (latencies)."""
 
 from .graph import Node
 

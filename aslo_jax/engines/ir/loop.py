@@ -61,6 +61,33 @@ class Loop:
         roots = [*self.begin, *self.carry, *self.record, *self.first, *self.final]
         return self.graph.reachable(roots)
 
+    def listing(self) -> str:
+        """As text for people: a node a line, arguments first, with a dot where no step
+        needs it; then what the entries of the carry begin with and become."""
+        graph, nodes = self.graph, self.graph.nodes
+        moving, lines = set(self.of_a_step()), []
+        for number in self.needed():
+            node = nodes[number]
+            args = [f"%{a}" for a in node.args]
+            if node.op == "input":
+                args = ["{}[{}]".format(*node.data)]
+            elif node.op == "const":
+                args = [str(node.data)]
+            elif node.op == "table":
+                args.append(f"of {len(node.data)}")
+            mark = " " if number in moving else "."
+            lines.append(f"{mark} %{number} = {node.op} {', '.join(args)} : {node.dtype}")
+        for i, (begin, carry) in enumerate(zip(self.begin, self.carry, strict=True)):
+            lines.append(f"carry[{i}] : {graph.dtype(carry)} = %{begin}, then %{carry}")
+        for kind in ("first", "record", "final"):
+            if numbers := getattr(self, kind):
+                lines.append(f"{kind} = {', '.join(f'%{n}' for n in numbers)}")
+        for name, table in zip(self.tables._fields, self.tables, strict=True):
+            if table is not None:
+                inner = "\n".join("  " + line for line in table.listing().splitlines())
+                lines.append(f"table {name}:\n{inner}")
+        return "\n".join(lines)
+
     @functools.cached_property
     def slots(self) -> list[Slot]:
         """The pointers that a kernel takes, in their order: every input but the step and

@@ -21,7 +21,7 @@ class Layout:
 
     def __init__(self, step: Step):
         self.out = Writer(step.width)
-        self.step, self.body, self.register = step, step.body, step.register
+        self.step, self.body, self.register = step, step.body, step.target.register
         self.loop, self.graph = step.body.loop, step.body.loop.graph
         self.varies = step.body.varies
         self.carried = [self.graph.dtype(n) for n in self.loop.carry]

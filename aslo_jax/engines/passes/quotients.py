@@ -1,4 +1,9 @@
-"""Comparisons of quotients with constants, without the division."""
+"""Comparisons of quotients with constants, without the division (strength reduction:
+division elimination).
+
+Worth 3 to 6 % on the double integrator, 0 to 4 % on the motor, nothing certain elsewhere,
+measured by `benchmarks ablation` on Zen 4, with registers of 64 bytes and of 32.
+"""
 
 from collections.abc import Mapping
 

@@ -1,5 +1,10 @@
 """What a step needs and is the same for all lanes: computed for all steps beforehand
-(precomputation of what is uniform over the vector)."""
+(precomputation of what is uniform over the vector: uniformity analysis and hoisting).
+
+Worth 6 to 7 % on the double integrator with noise, 1 to 10 % on the ball and beam, nothing
+certain on the motor and the WRIM, measured by `benchmarks ablation` on Zen 4, with
+registers of 64 bytes and of 32.
+"""
 
 import dataclasses
 

@@ -1,4 +1,5 @@
-"""Columns of numbers, one for each entry of a leaf, as kernels read and write them."""
+"""Columns of numbers, one for each entry of a leaf, as kernels read and write them
+(transposition to a structure of arrays)."""
 
 from collections.abc import Callable
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ..._extras import require
+from ..backend.target import AVX2, AVX512, Target
 
 
 def available_threads() -> int:
@@ -16,19 +17,25 @@ def available_threads() -> int:
     return os.cpu_count() or 1
 
 
-def widths() -> tuple[int, ...]:
-    """Lanes that a kernel may advance at a time on this host, in one register of doubles or
-    in several that take turns. On AVX2 two registers run 1.2 times as fast as one, and
-    three as fast as two."""
-    return (8, 16, 32) if register() == 64 else (4, 8)
-
-
 @functools.cache
-def register() -> int:
-    """Bytes of the vector registers of this host."""
+def target(register: int | None = None) -> Target:
+    """This host, or this host as one with narrower registers of so many bytes, which it
+    runs as that one would."""
     machine_target()
     llvm = require("llvmlite.binding", "study")
-    return 64 if llvm.get_host_cpu_features().get("avx512f") else 32
+    features = llvm.get_host_cpu_features()
+    own = AVX512 if features.get("avx512f") else AVX2
+    if register in (None, own.register):
+        return own
+    if own is not AVX512 or register != AVX2.register:
+        raise ValueError(f"This host has no registers of {register} bytes.")
+    wide = sorted(f for f in features if f.startswith("avx512"))
+    return AVX2._replace(features=",".join(f"-{f}" for f in wide))
+
+
+def widths() -> tuple[int, ...]:
+    """Lanes that a kernel may advance at a time on this host."""
+    return target().widths
 
 
 @functools.cache
@@ -49,14 +56,15 @@ _SIGNATURE = ctypes.CFUNCTYPE(
 
 
 @functools.lru_cache(maxsize=128)
-def compiled(text: str) -> Callable[..., None]:
-    """The machine code of a kernel; the engine that owns it lives as long as it does."""
-    target = machine_target()
+def compiled(text: str, features: str = "") -> Callable[..., None]:
+    """The machine code of a kernel, with further features of LLVM (`Target`); the engine
+    that owns it lives as long as it does."""
     llvm = require("llvmlite.binding", "study")
     module = llvm.parse_assembly(text)
-    machine = target.create_target_machine(
+    own = llvm.get_host_cpu_features().flatten()
+    machine = machine_target().create_target_machine(
         cpu=llvm.get_host_cpu_name(),
-        features=llvm.get_host_cpu_features().flatten(),
+        features=",".join(filter(None, (own, features))),
         opt=3,
         jit=True,
     )

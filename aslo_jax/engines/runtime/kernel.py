@@ -20,7 +20,7 @@ class Kernel:
     def __init__(self, step: Step):
         self.loop, self.width = step.body.loop, step.width
         self._once, self._each = len(self.loop.needed()), len(step.events)
-        self._function = compiled(emit(step))
+        self._function = compiled(emit(step), step.target.features)
 
     def __call__(
         self,
