@@ -1,12 +1,18 @@
 """A step of a loop for some lanes at a time: what its vectors are made of, in which order,
 and which of them wait in memory."""
 
+import copy
+import dataclasses
+import functools
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from ..ir.graph import BOOL
 from ..ir.loop import Loop, varying
 from ..ir.selection import selected
+from ..ir.specialisation import specialised
 from .cost import cycles
 from .scheduling import depth_first, ordered
 from .spilling import Event, planned
@@ -26,11 +32,14 @@ class Body:
     - `varies`: for each node, whether it does over time and over lanes;
     - `scalars`: what a step makes for all lanes; `orders` of the vectors that it makes: one
       in which long chains of operations go on beside each other, one in which little waits;
-    - `record`: what only the records need, and `leaving`, the vectors of a step for it.
+    - `record`: what only the records need, and `leaving`, the vectors of a step for it;
+    - `instructions`: how a vector is made, but for those that are a part of another one;
+    - `nodes`: operations by number, those of the graph or of what is left of it.
     """
 
     def __init__(self, loop: Loop):
         self.loop, graph = loop, loop.graph
+        self.nodes = graph.nodes
         self.varies = varying(graph, loop.needed())
         whole = graph.reachable(list(loop.carry))
         step = self.moving(whole)
@@ -44,19 +53,71 @@ class Body:
             ordered(graph, sorted(vectors)),
             depth_first(graph, loop.carry, vectors),
         )
+        chosen = selected(graph, self.orders[0], self.leaving | set(loop.carry))
+        self.instructions = {x.result: x for x in chosen}
+
+    @functools.cached_property
+    def alternatives(self) -> list["Body"]:
+        """This body, or one for each outcome of its switch, and itself for where lanes do
+        not agree."""
+        switch = self.loop.switch
+        if switch is None:
+            return [self]
+        special = [self._where(switch, holds) for holds in (True, False)]
+        return [*special, self] if self.varies[switch][1] else special
+
+    def _where(self, switch: int, holds: bool) -> "Body":
+        """What is left where it is known whether the switch holds: some of the same
+        instructions, made by the step if they are here, and by the record if they are
+        there. A lane gets the same bits in whichever body."""
+        made, graph = copy.copy(self), self.loop.graph
+        roots = [*self.loop.carry, *self.loop.record]
+        left = specialised(graph, roots, switch, holds)
+        made.loop = dataclasses.replace(
+            self.loop,
+            carry=tuple(left.same[n] for n in self.loop.carry),
+            record=tuple(left.same[n] for n in self.loop.record),
+        )
+        made.nodes = left.nodes
+        made.varies = self.varies | {graph.const(b, BOOL): (False, False) for b in (0, 1)}
+        made.record = [n for n in self.record if n in left.nodes]
+        needed = {a for n in made.record for a in left.nodes[n].args}
+        vectors = left.nodes.keys() & set(self.orders[0])
+        made.leaving = vectors & (needed | set(made.loop.record))
+        made.orders = (
+            ordered(left, sorted(vectors)),
+            depth_first(left, [*made.loop.carry, *made.leaving], vectors),
+        )
+        made.instructions = {
+            n: x._replace(args=tuple(left.same[a] for a in x.args))
+            for n, x in self.instructions.items()
+            if n in vectors
+        }
+        return made
 
     def moving(self, numbers: Iterable[int]) -> list[int]:
         return [n for n in numbers if self.varies[n][0]]
 
 
+class Way(NamedTuple):
+    """A body, and the `events` that make its vectors."""
+
+    body: Body
+    events: list[Event[Part]]
+
+    @property
+    def made(self) -> set[int]:
+        return {e.value.number for e in self.events if e.instruction}
+
+
 class Step:
-    """A body for `width` lanes at a time, in registers of so many bytes: `events` are how
-    it makes its vectors, in the order that promises to be faster."""
+    """A body for `width` lanes at a time, in registers of so many bytes: `ways` are how it
+    and its alternatives make their vectors, in the order that promises to be faster."""
 
     def __init__(self, body: Body, width: int, register: int):
         self.body, self.width, self.register = body, width, register
         self._counts: dict[int, int] = {}
-        self.events = self._planned()
+        self.ways = [Way(b, self._planned(b)) for b in body.alternatives]
 
     def parts(self, number: int) -> int:
         """How many registers the lanes of a node fill; those of a mask, as many as what it
@@ -71,24 +132,25 @@ class Step:
             self._counts[number] = count
         return self._counts[number]
 
-    def _planned(self) -> list[Event[Part]]:
-        loop = self.body.loop
-        stored = self.body.leaving | set(loop.carry)
+    def _planned(self, body: Body) -> list[Event[Part]]:
+        loop = body.loop
+        stored = body.leaving | set(loop.carry)
         kept = {Part(n, k) for n in stored for k in range(self.parts(n))}
 
         def plan(order: list[int]) -> list[Event[Part]]:
-            instructions = selected(loop.graph, order, stored)
+            instructions = [body.instructions[n] for n in order if n in body.instructions]
             values = {v for x in instructions for v in (x.result, *x.args)}
-            alike = {v for v in values if not self.body.varies[v][1]}
+            alike = {v for v in values if not body.varies[v][1]}
             made = in_parts(instructions, {v: self.parts(v) for v in values}, alike)
             return list(planned(made, kept, HOLDING[self.register]))
 
-        plans = map(plan, self.body.orders)
+        plans = map(plan, body.orders)
         return min(plans, key=lambda events: cycles(loop, events))
 
     def instructions(self) -> int:
-        """About how many it takes."""
-        return sum(e.action in ("load", "store", "do") for e in self.events)
+        """About how many it takes, the shortest way: what a step seldom needs is long."""
+        done = ("load", "store", "do")
+        return min(sum(e.action in done for e in way.events) for way in self.ways)
 
 
 def chosen(loop: Loop, widths: Sequence[int], register: int) -> Step:

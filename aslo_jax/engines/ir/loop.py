@@ -41,7 +41,8 @@ class Loop:
     `carry` those of the next one. `first`, none or as many as `record`, is written before
     the first step, and `record` at every so manyth one. `final` is what the last carry
     leaves: functions of it and of what is constant in time. `tables` make the inputs
-    `("time", i)`.
+    `("time", i)`. Where all lanes of a vector agree on `switch`, a boolean node of a step,
+    a body takes the step that does only what is needed then.
     """
 
     graph: Graph
@@ -51,6 +52,12 @@ class Loop:
     first: tuple[int, ...] = ()
     final: tuple[int, ...] = ()
     tables: Tables = NO_TABLES
+    switch: int | None = None
+
+    @property
+    def switched(self) -> list[int]:
+        """The switch, if there is one."""
+        return [] if self.switch is None else [self.switch]
 
     def of_a_step(self) -> list[int]:
         """The nodes of a step, those of its record included, arguments first."""
@@ -59,7 +66,7 @@ class Loop:
     def needed(self) -> list[int]:
         """All nodes, arguments first."""
         roots = [*self.begin, *self.carry, *self.record, *self.first, *self.final]
-        return self.graph.reachable(roots)
+        return self.graph.reachable([*roots, *self.switched])
 
     @functools.cached_property
     def slots(self) -> list[Slot]:

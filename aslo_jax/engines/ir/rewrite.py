@@ -43,7 +43,7 @@ def replaced(loop: Loop, new: Mapping[int, int]) -> Loop:
 
 
 def moving_roots(loop: Loop) -> list[int]:
-    return [*loop.carry, *loop.record, *loop.final]
+    return [*loop.carry, *loop.record, *loop.final, *loop.switched]
 
 
 def counted(loop: Loop) -> collections.Counter[int]:
@@ -61,6 +61,7 @@ def mapped(loop: Loop, found: Mapping[int, int]) -> Loop:
         carry=tuple(found[n] for n in loop.carry),
         record=tuple(found[n] for n in loop.record),
         final=tuple(found[n] for n in loop.final),
+        switch=None if loop.switch is None else found[loop.switch],
     )
 
 
@@ -68,7 +69,7 @@ def pruned(loop: Loop) -> Loop:
     """Without the entries of the carry that nothing needs, the others numbered anew."""
     graph = loop.graph
     alive: set[int] = set()
-    more = carries(graph, graph.reachable([*loop.record, *loop.final]))
+    more = carries(graph, graph.reachable([*loop.record, *loop.final, *loop.switched]))
     while more:
         alive |= set(more)
         found = carries(graph, graph.reachable([loop.carry[i] for i in more]))

@@ -16,6 +16,7 @@ from .factors import factored
 from .quotients import undivided
 from .retiming import retimed
 from .timetable import timetabled
+from .unswitching import unswitched
 
 
 class Pass(NamedTuple):
@@ -24,6 +25,7 @@ class Pass(NamedTuple):
 
 
 PASSES = (
+    Pass("unswitching", unswitched),
     Pass("congruence", merged),
     Pass("commoning", kept),
     Pass("congruence", merged),
@@ -32,6 +34,7 @@ PASSES = (
     Pass("factors", factored),
     Pass("retiming", retimed),
     Pass("timetable", timetabled),
+    Pass("unswitching", unswitched),  # does it still pay?
 )
 
 

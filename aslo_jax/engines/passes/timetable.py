@@ -32,7 +32,8 @@ def timetabled(loop: Loop) -> Loop:
             timed.add(number)
         elif all(a in timed or a in fixed or a in later for a in node.args):
             later.add(number)
-    used = {n for i, n in enumerate(loop.carry) if i not in alike} | set(loop.record)
+    used = {n for i, n in enumerate(loop.carry) if i not in alike}
+    used |= {*loop.record, *loop.switched}
     for number in step:
         if number not in timed and number not in later:
             used.update(graph.nodes[number].args)
@@ -47,12 +48,14 @@ def timetabled(loop: Loop) -> Loop:
         moved = rebuilt(graph, first, {graph.input(np.int64, ("step", 0)): index})
         beside = Loop(graph, (), (), final=tuple(moved[n] for n in first))
     if second:
-        along = pruned(dataclasses.replace(loop, record=tuple(second), first=(), final=()))
+        alone = dataclasses.replace(loop, first=(), final=(), switch=None)
+        along = pruned(dataclasses.replace(alone, record=tuple(second)))
     # What is final follows from the last carry, after all of the times.
-    found = rebuilt(graph, [*loop.carry, *loop.record], new)
+    found = rebuilt(graph, [*loop.carry, *loop.record, *loop.switched], new)
     rest = dataclasses.replace(
         loop,
         carry=tuple(found[n] for n in loop.carry),
         record=tuple(found[n] for n in loop.record),
+        switch=None if loop.switch is None else found[loop.switch],
     )
     return dataclasses.replace(pruned(rest), tables=Tables(beside, along))
