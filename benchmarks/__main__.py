@@ -4,7 +4,7 @@
 import functools
 import sys
 
-from . import import_time, peers, pmsm, replay, reversal, systems, tuning
+from . import import_time, peers, pmsm, replay, reversal, switching, systems, tuning
 
 FLAGS = {"--quick", "--install"}
 quick = "--quick" in sys.argv
@@ -12,6 +12,7 @@ BENCHMARKS = {
     "import_time": import_time.main,
     "replay": replay.main,
     "reversal": reversal.main,
+    "switching": switching.main,
     "systems": systems.main,
     "peers": functools.partial(peers.main, "--install" in sys.argv),
     "pmsm": functools.partial(pmsm.main, quick),
