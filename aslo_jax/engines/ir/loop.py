@@ -41,8 +41,11 @@ class Loop:
     `carry` those of the next one. `first`, none or as many as `record`, is written before
     the first step, and `record` at every so manyth one. `final` is what the last carry
     leaves: functions of it and of what is constant in time. `tables` make the inputs
-    `("time", i)`. Where all lanes of a vector agree on `switch`, a boolean node of a step,
-    a body takes the step that does only what is needed then.
+    `("time", i)`.
+
+    `branches` are boolean nodes of a step that chose between branches in the source. Where
+    all lanes of a vector agree on `switch`, one of them, a body takes the step that does
+    only what is needed then.
     """
 
     graph: Graph
@@ -52,6 +55,7 @@ class Loop:
     first: tuple[int, ...] = ()
     final: tuple[int, ...] = ()
     tables: Tables = NO_TABLES
+    branches: tuple[int, ...] = ()
     switch: int | None = None
 
     @property

@@ -9,10 +9,12 @@ from .graph import BOOL, Graph, Node
 
 class Special(NamedTuple):
     """The `nodes` that are needed, by their numbers in the graph, on arguments that are
-    chosen already, and the one that is the `same` as each node was."""
+    chosen already; the one that is the `same` as each node was; and what is `reached` on
+    the way to them: what is chosen from stands for the choice."""
 
     nodes: Mapping[int, Node]
     same: Mapping[int, int]
+    reached: set[int]
 
 
 def specialised(
@@ -32,15 +34,16 @@ def specialised(
         if number == condition:
             same[number] = graph.const(holds, BOOL)
     nodes: dict[int, Node] = {}
-    left = [same[n] for n in roots]
+    reached, left = set(roots), [same[n] for n in roots]
     while left:
         number = left.pop()
         if number not in nodes:
             node = graph.nodes[number]
             args = tuple(same[a] for a in node.args)
             nodes[number] = node._replace(args=args)
+            reached |= {number, *node.args}
             left += args
-    return Special({n: nodes[n] for n in sorted(nodes)}, same)
+    return Special({n: nodes[n] for n in sorted(nodes)}, same, reached)
 
 
 def _chosen(graph: Graph, node: Node, same: Mapping[int, int]) -> int | None:

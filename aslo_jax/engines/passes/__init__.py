@@ -25,7 +25,6 @@ class Pass(NamedTuple):
 
 
 PASSES = (
-    Pass("unswitching", unswitched),
     Pass("congruence", merged),
     Pass("commoning", kept),
     Pass("congruence", merged),
@@ -34,7 +33,7 @@ PASSES = (
     Pass("factors", factored),
     Pass("retiming", retimed),
     Pass("timetable", timetabled),
-    Pass("unswitching", unswitched),  # does it still pay?
+    Pass("unswitching", unswitched),
 )
 
 

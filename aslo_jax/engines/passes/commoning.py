@@ -28,8 +28,8 @@ def kept(loop: Loop) -> Loop:
     chosen_later = _of_chosen(loop, step, known, worth)
     again |= set(chosen_later)
     later |= chosen_later
-    if loop.switch is not None:
-        # What one body alone needs is not kept by all if it takes work of theirs.
+    if loop.branches:
+        # What one branch alone needs is not kept where it would take work in the others.
         ever = always(loop)
         again = {n for n in again if n in ever or later[n] in ever}
     chosen: dict[int, int] = {}

@@ -32,8 +32,7 @@ def timetabled(loop: Loop) -> Loop:
             timed.add(number)
         elif all(a in timed or a in fixed or a in later for a in node.args):
             later.add(number)
-    used = {n for i, n in enumerate(loop.carry) if i not in alike}
-    used |= {*loop.record, *loop.switched}
+    used = {n for i, n in enumerate(loop.carry) if i not in alike} | set(loop.record)
     for number in step:
         if number not in timed and number not in later:
             used.update(graph.nodes[number].args)
@@ -48,14 +47,14 @@ def timetabled(loop: Loop) -> Loop:
         moved = rebuilt(graph, first, {graph.input(np.int64, ("step", 0)): index})
         beside = Loop(graph, (), (), final=tuple(moved[n] for n in first))
     if second:
-        alone = dataclasses.replace(loop, first=(), final=(), switch=None)
+        alone = dataclasses.replace(loop, first=(), final=(), branches=())
         along = pruned(dataclasses.replace(alone, record=tuple(second)))
     # What is final follows from the last carry, after all of the times.
-    found = rebuilt(graph, [*loop.carry, *loop.record, *loop.switched], new)
+    found = rebuilt(graph, [*loop.carry, *loop.record], new)
     rest = dataclasses.replace(
         loop,
         carry=tuple(found[n] for n in loop.carry),
         record=tuple(found[n] for n in loop.record),
-        switch=None if loop.switch is None else found[loop.switch],
+        branches=tuple(found[n] for n in loop.branches if n in found),
     )
     return dataclasses.replace(pruned(rest), tables=Tables(beside, along))

@@ -12,6 +12,7 @@ from ..ir.specialisation import specialised
 # compiled, and every step finds out which one it takes.
 SHARE = 0.2
 LEAST = 40
+TRIALS = 16  # of branches, each of which takes two rewritings
 DEAR = {"div": 8, "sqrt": 8, "table": 8}  # operations that take as long as some
 
 
@@ -21,23 +22,23 @@ def unswitched(loop: Loop) -> Loop:
     graph = loop.graph
     step = varying(graph, graph.reachable(list(loop.carry)))
     moving = {n for n, (over_time, _) in step.items() if over_time}
-    given = [n for n in loop.switched or graph.branches if n in step]
+    given = [n for n in loop.branches if n in step and graph.value(n) is None][:TRIALS]
     whole = _work(graph, moving)
     savings = {n: whole - _least(loop, n, moving) for n in given}
     best = max(given, key=lambda n: savings[n], default=None)
     if best is not None and savings[best] < max(SHARE * whole, LEAST):
         best = None
-    return dataclasses.replace(loop, switch=best)
+    return dataclasses.replace(loop, branches=(), switch=best)
 
 
 def always(loop: Loop) -> set[int]:
-    """What a step computes whether its switch holds or not."""
+    """What a step computes whatever the outcomes of its branches."""
     graph, roots = loop.graph, moving_roots(loop)
     found = set(graph.reachable(roots))
-    for switch in loop.switched:
+    for branch in loop.branches[:TRIALS]:
         for holds in (True, False):
-            found &= specialised(graph, roots, switch, holds).nodes.keys()
-        found |= set(graph.reachable([switch]))
+            found &= specialised(graph, roots, branch, holds).reached
+        found |= set(graph.reachable([branch]))
     return found
 
 
