@@ -30,16 +30,14 @@ def series(x, y, terms=TERMS):
     return total
 
 
-def ends(whole, special):
+def ends(loop):
     """How many operations a step has, and the longer and the shorter of its bodies."""
-    graph = whole.graph
-    busy = lambda numbers: sum(
-        graph.nodes[n].op not in ("const", "input") for n in numbers
-    )
-    roots = whole.carry
-    assert special is not None
-    both = [specialised(graph, roots, special, h).nodes for h in (True, False)]
-    return busy(graph.reachable(list(roots))), *sorted(map(busy, both), reverse=True)
+    graph, roots = loop.graph, loop.carry
+    busy = lambda numbers: sum(graph.nodes[n].op not in ("const", "input") for n in numbers)
+    assert loop.switches
+    each = [{n: usual == same for n, usual in loop.switches} for same in (False, True)]
+    both = [specialised(graph, roots, known).nodes for known in each]
+    return busy(graph.reachable(list(roots))), *map(busy, both)
 
 
 def right(begin, advance, finish):
@@ -62,19 +60,20 @@ def bits(tree):
 
 
 def advance(k, carry, inputs):
-    """Products that both branches need, and that one of them adds to something: alone, it
-    would be a part of the sum. A filter that only one branch moves, a mask, a counter, an
-    entry that is the same for all lanes, entries that trade places in a branch."""
+    """A product that each branch adds to something: alone, it would be a part of the sum
+    and not be rounded. A filter that only one branch moves, a mask, a counter, an entry
+    that is the same for all lanes, entries that trade places in a branch."""
     a, b, left, right, count, flag, clock = carry
     x, until = inputs["lane"]
     product, log = a * b, inputs["log"]
 
     def costly(a, left, right):
         more = series(a, b + 0.1 * log)
-        return 0.3 * (product + x) + 0.2 * more, right, left, more > 0.2, more * product
+        after = 0.7 * jnp.sin(product + x) + 0.2 * more
+        return after, right, left, more > 0.2, more * b
 
     def plain(a, left, right):
-        return 0.5 * a - 0.3 * product, left, 0.9 * right + 0.1 * a, flag, product - x
+        return jnp.cos(x - product), left, 0.9 * right + 0.1 * a, flag, b - x
 
     starts = count < until
     out = jax.lax.cond(starts, costly, plain, a, left, right)
@@ -148,7 +147,7 @@ def alone(dtype):
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_bits_do_not_depend_on_the_neighbours(dtype, width):
     inputs, run = given(dtype), made(dtype, width)
-    assert run.loop.switch is not None
+    assert len(run.loop.switches) == 1
     whole = run(inputs, LANES, STEPS, every=5, threads=2)
     for ours, theirs in zip(*map(jax.tree.leaves, (whole, by_scan(inputs))), strict=True):
         assert ours.dtype == theirs.dtype
@@ -197,9 +196,10 @@ CONDITIONS = {
 @pytest.mark.parametrize("name", CONDITIONS)
 def test_a_step_switches(name):
     loop = right(*of(CONDITIONS[name]))
-    whole, costly, plain = ends(loop, loop.switch)
+    whole, costly, plain = ends(loop)
     assert plain < 50 and 100 < costly <= whole
-    over_lanes = varying(loop.graph, loop.needed())[loop.switch][1]
+    (number,) = loop.conditions
+    over_lanes = varying(loop.graph, loop.needed())[number][1]
     assert over_lanes == ("time" not in name and "uniform" not in name)
 
 
@@ -219,7 +219,7 @@ def test_of_several_branches_a_step_switches_on_the_one_that_saves_most():
         return after, jax.lax.switch(which, twigs, b), count + 1.0
 
     loop = right(start, advance, lambda carry: carry[:2])
-    whole, costly, plain = ends(loop, loop.switch)
+    whole, costly, plain = ends(loop)
     assert plain < whole - 100 and costly <= whole
 
 
@@ -237,7 +237,7 @@ def test_a_step_chooses_where_branches_are_cheap_or_none(choose):
         return after, 0.9 * b + 0.1 * jnp.cos(after), count + 1.0
 
     loop = right(start, advance, lambda carry: carry[:2])
-    assert loop.switch is None and not loop.branches
+    assert not loop.switches and not loop.branches
 
 
 def test_what_a_branch_computes_twice_is_not_kept_by_all():
@@ -266,7 +266,7 @@ def test_what_a_branch_computes_twice_is_not_kept_by_all():
 
     for step in (advance, same):
         loop = right(start, step, lambda carry: carry[:2])
-        _, costly, plain = ends(loop, loop.switch)
+        _, costly, plain = ends(loop)
         assert plain < costly - 100
 
 
@@ -275,8 +275,8 @@ def test_a_specialised_step_has_no_other_operations():
     loop = program(*of(CONDITIONS["both"]), x=PAIRS).loop
     graph = loop.graph
     for holds in (True, False):
-        left = specialised(graph, moving_roots(loop), loop.switch, holds)
-        assert loop.switch not in left.nodes
+        left = specialised(graph, moving_roots(loop), {loop.conditions[0]: holds})
+        assert loop.conditions[0] not in left.nodes
         for number, node in left.nodes.items():
             assert node == graph.nodes[number]._replace(args=node.args)
             assert node.args == tuple(left.same[a] for a in graph.nodes[number].args)
@@ -374,7 +374,11 @@ def test_experiments_switch_and_agree_with_scan(make):
         Runner(make, like, 40, metrics={"m": Total()}, record=keep, every=10, engine=engine)
         for engine in ("fused", "scan")
     )
-    assert fused._fused.program.loop.switch is not None
+    # Both passes of an observer, at the ends of a step, have a condition of their own.
+    loop = fused._fused.program.loop
+    whole, _, plain = ends(loop)
+    assert len(loop.switches) == (2 if make is experiment else 1)
+    assert plain < whole - 100
 
     def run(runner, amplitude, until):
         batch = runner((until, amplitude))

@@ -4,7 +4,7 @@ and which of them wait in memory."""
 import copy
 import dataclasses
 import functools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -58,21 +58,25 @@ class Body:
 
     @functools.cached_property
     def alternatives(self) -> list["Body"]:
-        """This body, or one for each outcome of its switch, and itself for where lanes do
-        not agree."""
-        switch = self.loop.switch
-        if switch is None:
+        """This body, or one for where all switches are as usual, one for where none is,
+        and itself for where they, or lanes, do not agree."""
+        switches = self.loop.switches
+        if not switches:
             return [self]
-        special = [self._where(switch, holds) for holds in (True, False)]
-        return [*special, self] if self.varies[switch][1] else special
+        special = [
+            self._where({n: usual == same for n, usual in switches})
+            for same in (True, False)
+        ]
+        agree = len(switches) == 1 and not self.varies[switches[0].condition][1]
+        return special if agree else [*special, self]
 
-    def _where(self, switch: int, holds: bool) -> "Body":
-        """What is left where it is known whether the switch holds: some of the same
+    def _where(self, conditions: Mapping[int, bool]) -> "Body":
+        """What is left where it is known which conditions hold: some of the same
         instructions, made by the step if they are here, and by the record if they are
         there. A lane gets the same bits in whichever body."""
         made, graph = copy.copy(self), self.loop.graph
         roots = [*self.loop.carry, *self.loop.record]
-        left = specialised(graph, roots, switch, holds)
+        left = specialised(graph, roots, conditions)
         made.loop = dataclasses.replace(
             self.loop,
             carry=tuple(left.same[n] for n in self.loop.carry),
@@ -111,13 +115,19 @@ class Way(NamedTuple):
 
 
 class Step:
-    """A body for `width` lanes at a time, in registers of so many bytes: `ways` are how it
-    and its alternatives make their vectors, in the order that promises to be faster."""
+    """A body for `width` lanes at a time, in registers of so many bytes: how it and its
+    alternatives make their vectors, in the order that promises to be faster."""
 
     def __init__(self, body: Body, width: int, register: int):
         self.body, self.width, self.register = body, width, register
         self._counts: dict[int, int] = {}
-        self.ways = [Way(b, self._planned(b)) for b in body.alternatives]
+        self.usual = Way(body.alternatives[0], self._planned(body.alternatives[0]))
+
+    @functools.cached_property
+    def ways(self) -> list[Way]:
+        """The usual one first; the others are planned for the width that is chosen."""
+        others = self.body.alternatives[1:]
+        return [self.usual, *(Way(b, self._planned(b)) for b in others)]
 
     def parts(self, number: int) -> int:
         """How many registers the lanes of a node fill; those of a mask, as many as what it
@@ -148,9 +158,8 @@ class Step:
         return min(plans, key=lambda events: cycles(loop, events))
 
     def instructions(self) -> int:
-        """About how many it takes, the shortest way: what a step seldom needs is long."""
-        done = ("load", "store", "do")
-        return min(sum(e.action in done for e in way.events) for way in self.ways)
+        """About how many it usually takes."""
+        return sum(e.action in ("load", "store", "do") for e in self.usual.events)
 
 
 def chosen(loop: Loop, widths: Sequence[int], register: int) -> Step:

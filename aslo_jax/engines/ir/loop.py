@@ -27,6 +27,13 @@ class Tables(NamedTuple):
 NO_TABLES = Tables()
 
 
+class Switch(NamedTuple):
+    """A boolean node of a step, and what it is where the step takes less."""
+
+    condition: int
+    usual: bool
+
+
 @dataclasses.dataclass(frozen=True)
 class Loop:
     """What a kernel computes: nodes of `graph`, whose inputs have the slots
@@ -43,9 +50,9 @@ class Loop:
     leaves: functions of it and of what is constant in time. `tables` make the inputs
     `("time", i)`.
 
-    `branches` are boolean nodes of a step that chose between branches in the source. Where
-    all lanes of a vector agree on `switch`, one of them, a body takes the step that does
-    only what is needed then.
+    `branches` are boolean nodes of a step that chose between branches in the source.
+    `switches` are some of them: where all lanes of a vector are as usual in all of these, or
+    in none, a body takes the step that does only what is needed then.
     """
 
     graph: Graph
@@ -56,12 +63,12 @@ class Loop:
     final: tuple[int, ...] = ()
     tables: Tables = NO_TABLES
     branches: tuple[int, ...] = ()
-    switch: int | None = None
+    switches: tuple[Switch, ...] = ()
 
     @property
-    def switched(self) -> list[int]:
-        """The switch, if there is one."""
-        return [] if self.switch is None else [self.switch]
+    def conditions(self) -> list[int]:
+        """Of its switches."""
+        return [s.condition for s in self.switches]
 
     def of_a_step(self) -> list[int]:
         """The nodes of a step, those of its record included, arguments first."""
@@ -70,7 +77,7 @@ class Loop:
     def needed(self) -> list[int]:
         """All nodes, arguments first."""
         roots = [*self.begin, *self.carry, *self.record, *self.first, *self.final]
-        return self.graph.reachable([*roots, *self.switched])
+        return self.graph.reachable([*roots, *self.conditions])
 
     @functools.cached_property
     def slots(self) -> list[Slot]:

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 
 from .graph import Graph
-from .loop import Loop
+from .loop import Loop, Switch
 
 
 def rebuilt(
@@ -44,7 +44,7 @@ def replaced(loop: Loop, new: Mapping[int, int]) -> Loop:
 
 def moving_roots(loop: Loop) -> list[int]:
     ends = [*loop.carry, *loop.record, *loop.final]
-    return [*ends, *loop.branches, *loop.switched]
+    return [*ends, *loop.branches, *loop.conditions]
 
 
 def counted(loop: Loop) -> collections.Counter[int]:
@@ -63,7 +63,7 @@ def mapped(loop: Loop, found: Mapping[int, int]) -> Loop:
         record=tuple(found[n] for n in loop.record),
         final=tuple(found[n] for n in loop.final),
         branches=tuple(found[n] for n in loop.branches),
-        switch=None if loop.switch is None else found[loop.switch],
+        switches=tuple(Switch(found[n], usual) for n, usual in loop.switches),
     )
 
 
@@ -74,7 +74,7 @@ def pruned(loop: Loop) -> Loop:
     branches = dict.fromkeys(n for n in loop.branches if n in whole)
     loop = dataclasses.replace(loop, branches=tuple(branches))
     alive: set[int] = set()
-    more = carries(graph, graph.reachable([*loop.record, *loop.final, *loop.switched]))
+    more = carries(graph, graph.reachable([*loop.record, *loop.final, *loop.conditions]))
     while more:
         alive |= set(more)
         found = carries(graph, graph.reachable([loop.carry[i] for i in more]))

@@ -1,4 +1,4 @@
-"""What is left of a step where a condition is known to hold, or not to hold
+"""What is left of a step where it is known whether some conditions hold
 (specialisation: constants propagated through choices, and through these only)."""
 
 from collections.abc import Iterable, Mapping
@@ -18,9 +18,9 @@ class Special(NamedTuple):
 
 
 def specialised(
-    graph: Graph, roots: Iterable[int], condition: int, holds: bool
+    graph: Graph, roots: Iterable[int], conditions: Mapping[int, bool]
 ) -> Special:
-    """What `roots` need where the condition is known.
+    """What `roots` need where it is known whether some conditions hold.
 
     No operation becomes another one, and no two become one: where products and sums are
     rounded at once depends on who else needs them, and a step must leave the same bits
@@ -31,8 +31,8 @@ def specialised(
     for number in order:
         known = _chosen(graph, graph.nodes[number], same)
         same[number] = number if known is None else known
-        if number == condition:
-            same[number] = graph.const(holds, BOOL)
+        if number in conditions:
+            same[number] = graph.const(conditions[number], BOOL)
     nodes: dict[int, Node] = {}
     reached, left = set(roots), [same[n] for n in roots]
     while left:
