@@ -223,6 +223,29 @@ def test_of_several_branches_a_step_switches_on_the_one_that_saves_most():
     assert plain < whole - 100 and costly <= whole
 
 
+def test_a_step_switches_on_several_branches_at_once():
+    """Of which one is usually taken and the other is not, one depends on the lane and the
+    other on time alone; in some steps a lane takes one costly branch or both."""
+
+    def advance(k, carry, x):
+        a, b, count = carry
+        costly = lambda a, b: series(a, b) + jnp.sin(a * b)
+        plain = lambda a, b: jnp.cos(a * b) - 0.1 * b
+        a = jax.lax.cond(count < 2.0 + x[0], costly, plain, a, b)
+        return a, jax.lax.cond(k >= 3, plain, costly, b, 0.5 * a), count + 1.0
+
+    loop = right(start, advance, lambda carry: carry[:2])
+    assert sorted(usual for _, usual in loop.switches) == [False, True]
+    whole, costly, plain = ends(loop)
+    assert plain < whole - 200 and costly < whole
+    made = program(start, advance, lambda carry: carry[:2], x=PAIRS)
+    _, together = made({"lane": PAIRS}, 3, 5)
+    for k in range(3):
+        _, one = made({"lane": jax.tree.map(lambda x: x[k : k + 1], PAIRS)}, 1, 5)  # noqa: B023
+        for ours, theirs in zip(bits(together), bits(one), strict=True):
+            np.testing.assert_array_equal(ours[k], theirs[0])
+
+
 @pytest.mark.parametrize(
     "choose",
     [
@@ -374,10 +397,7 @@ def test_experiments_switch_and_agree_with_scan(make):
         Runner(make, like, 40, metrics={"m": Total()}, record=keep, every=10, engine=engine)
         for engine in ("fused", "scan")
     )
-    # Both passes of an observer, at the ends of a step, have a condition of their own.
-    loop = fused._fused.program.loop
-    whole, _, plain = ends(loop)
-    assert len(loop.switches) == (2 if make is experiment else 1)
+    whole, _, plain = ends(fused._fused.program.loop)
     assert plain < whole - 100
 
     def run(runner, amplitude, until):

@@ -5,8 +5,8 @@ import heapq
 from collections.abc import Collection, Iterable
 
 from ..ir.graph import Graph
-from ..ir.specialisation import Special
 from ..ir.latency import latency
+from ..ir.specialisation import Special
 
 # Values that wait in registers, at most; from 4 to 12 it is the same.
 WAITING = 6

@@ -51,8 +51,8 @@ class Loop:
     `("time", i)`.
 
     `branches` are boolean nodes of a step that chose between branches in the source.
-    `switches` are some of them: where all lanes of a vector are as usual in all of these, or
-    in none, a body takes the step that does only what is needed then.
+    `switches` are some of them: where all lanes of a vector are as usual in all of these,
+    or in none, a body takes the step that does only what is needed then.
     """
 
     graph: Graph

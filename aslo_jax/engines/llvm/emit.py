@@ -21,7 +21,6 @@ from ..ir.selection import Instruction
 from .layout import POINTERS, Layout
 from .writer import SHIFTS
 
-
 # The blocks of a step with switches: all are as usual, none is, or some are.
 WAYS = ("usual", "other", "differs")
 

@@ -8,9 +8,9 @@ from ..ir.loop import Loop, Switch, varying
 from ..ir.rewrite import moving_roots
 from ..ir.specialisation import specialised
 
-# A body pays if it saves such a share of a step, and so many operations: two more bodies are
-# compiled, and every step finds out which one it takes. One more condition pays if it saves
-# so many again.
+# A body pays if it saves such a share of a step, and so many operations: two more bodies
+# are compiled, and every step finds out which one it takes. One more condition pays if it
+# saves so many again.
 SHARE = 0.2
 LEAST = 40
 TRIALS = 16  # of branches, each of which takes two rewritings
