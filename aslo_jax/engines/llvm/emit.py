@@ -8,21 +8,18 @@ for want of registers. Hence a step takes turns with several pointers to the fra
 LLVM does not know that they are the same.
 """
 
-import functools
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from ..backend.splitting import Part
 from ..backend.step import Step, Way
-from ..ir.graph import BOOL, Node
+from ..ir.graph import Node
 from ..ir.loop import Slot
 from ..ir.selection import Instruction
 from .layout import POINTERS, Layout
+from .switching import WAYS, Condition, branch
 from .writer import SHIFTS
-
-# The blocks of a step with switches: all are as usual, none is, or some are.
-WAYS = ("usual", "other", "differs")
 
 
 def emit(step: Step) -> str:
@@ -211,39 +208,13 @@ class _Kernel:
         self.out.line("%due = icmp eq i64 %fewer, 0")
 
     def _choose(self) -> None:
-        """Which way a step goes: whether its switches are as usual in all lanes, or none is
-        in any."""
-        usual, other, differs = WAYS
-        masks, every, none = [], [], []
-        for number, expected in self.loop.switches:
+        """Which way a step goes."""
+        conditions = []
+        for number, usual in self.loop.switches:
             vector = self._differs(number)
-            which = self._mask(number) if vector else self.operand(number, False)
-            opposite = self.out.operation("not", BOOL, BOOL, [which], vector)
-            pair = (which, opposite) if expected else (opposite, which)
-            masks += [pair] if vector else []
-            every += [] if vector else [pair[0]]
-            none += [] if vector else [pair[1]]
-        for kept, found in ((0, every), (1, none)):
-            if masks:
-                found.append(self._all([pair[kept] for pair in masks]))
-        everywhere = self._both(every, "i1")
-        if len(self.layout.step.ways) == 2:
-            self.out.line(f"br i1 {everywhere}, label %{usual}, label %{other}")
-            return
-        self.out.line(f"br i1 {everywhere}, label %{usual}, label %unlike")
-        self.out.label("unlike")
-        nowhere = self._both(none, "i1")
-        self.out.line(f"br i1 {nowhere}, label %{other}, label %{differs}")
-
-    def _both(self, names: list[str], kind: str) -> str:
-        return functools.reduce(lambda a, b: self.out.define(f"and {kind} {a}, {b}"), names)
-
-    def _all(self, masks: list[str]) -> str:
-        """Whether masks hold for all lanes."""
-        lanes = self.out.width
-        mask = self._both(masks, f"<{lanes} x i1>")
-        bits = self.out.define(f"bitcast <{lanes} x i1> {mask} to i{lanes}")
-        return self.out.define(f"icmp eq i{lanes} {bits}, -1")
+            name = self._mask(number) if vector else self.operand(number, False)
+            conditions.append(Condition(name, vector, usual))
+        branch(self.out, conditions, agreed=len(self.layout.step.ways) == 2)
 
     def _mask(self, switch: int) -> str:
         """The switch of all lanes, by the instructions that make it in a body."""
