@@ -12,6 +12,7 @@ from . import (
     pmsm,
     replay,
     reversal,
+    switching,
     systems,
     tuning,
 )
@@ -23,6 +24,7 @@ BENCHMARKS = {
     "compile_time": compile_time.main,
     "replay": replay.main,
     "reversal": reversal.main,
+    "switching": switching.main,
     "systems": systems.main,
     "ablation": ablation.main,
     "peers": functools.partial(peers.main, "--install" in sys.argv),

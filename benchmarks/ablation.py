@@ -35,7 +35,7 @@ def variants(work: Any, batch: Any, noisy: bool, target: Any) -> Iterator[tuple[
         """With one of the orders, in all widths."""
         run = made()
         body = Body(run.program.loop)
-        steps = (Step(body, w, target, body.orders[which]) for w in target.widths)
+        steps = (Step(body, w, target, which) for w in target.widths)
         run.program.__dict__["_step"] = min(steps, key=lambda step: step.cycles)
         return run
 

@@ -41,6 +41,6 @@ def share(step: Any, speed: float, clock: float) -> float:
     times a second for each lane."""
     from aslo_jax.engines.backend.cost import PRODUCTS
 
-    made = (e.instruction for e in step.events)
+    made = (e.instruction for e in step.usual.events)
     products = sum(x is not None and x.op in PRODUCTS for x in made)
     return products / step.target.products / step.width * speed / clock

@@ -22,6 +22,7 @@ from random_programs import SITES, Code, Sum, compiled, recorded, sampled, sourc
 
 from aslo_jax.engines import Batch, NotFusible, Runner
 from aslo_jax.engines.backend.step import Body, Step
+from aslo_jax.engines.backend.target import AVX2, AVX512
 from aslo_jax.engines.fused.program import Program as Loop
 
 LANES = (1, 3, 7, 65, 1025)
@@ -29,7 +30,8 @@ ORACLE = 65  # lanes of the oracle; those beyond repeat them
 PAIRS = 3  # of moved runs
 NOISE = ("near", "turned", "over", "sign")  # what `Moved` is made of
 SHARE = 32.0
-WIDTHS = ((4, 32), (8, 64), (16, 64), (8, 32), (32, 64), (2, 32))  # lanes, bytes
+# Lanes, and what they are for.
+WIDTHS = ((4, AVX2), (8, AVX512), (16, AVX512), (8, AVX2), (32, AVX512), (2, AVX2))
 
 
 @dataclasses.dataclass
@@ -171,11 +173,11 @@ def _same_bits(found: Outcome, code: Code, fused: Runner, samples: Any, whole: A
             what = f"of {lanes} lanes, {threads} threads"
             _equal(found, _at(whole, chosen), fused(part), what)
     fused._fused.threads = 1
-    width, register = WIDTHS[code.seed % len(WIDTHS)]
+    width, target = WIDTHS[code.seed % len(WIDTHS)]
     made = fused._fused.program
     other = Loop(made.raw, made.record, made.final, (width,))
     other.__dict__["loop"] = made.loop
-    other.__dict__["_step"] = Step(Body(made.loop), width, register)
+    other.__dict__["_step"] = Step(Body(made.loop), width, target)
     fused._fused.__dict__["program"] = other
     _equal(found, whole, fused(samples), f"of {width} lanes at a time")
     fused._fused.__dict__["program"] = made

@@ -11,8 +11,8 @@ import pytest
 from loops import PAIRS
 
 from aslo_jax.engines.fused.program import Bodies, Program
-from aslo_jax.engines.ir.graph import Graph, Node
-from aslo_jax.engines.ir.loop import Loop, Tables
+from aslo_jax.engines.ir.graph import Function, Graph, Node
+from aslo_jax.engines.ir.loop import Loop, Switch, Tables
 from aslo_jax.engines.ir.verifier import MalformedError, verify
 from aslo_jax.engines.passes import PASSES, optimised
 
@@ -23,6 +23,12 @@ SEVEN = jnp.asarray(0.7)
 
 def slope(x):
     return x * x * x / (1.0 + x * x)
+
+
+def costly(x):
+    for c in np.linspace(0.1, 0.9, 60):
+        x = x - 0.01 * c * x * (x - c)
+    return x
 
 
 def advance(k, carry, inputs):
@@ -36,6 +42,7 @@ def advance(k, carry, inputs):
     after, follower = moved(a), moved(twin)
     large = 2.0 / (a * a + 0.1) > 1.0
     value = 0.9 * value + 0.1 * same + jnp.where(large, 0.1, slope(a) + slope(after))
+    value = jax.lax.cond(a < 0.1, costly, lambda v: v, value)
     return (after, follower, 0.8 * same + 0.01 * k, value), (value, twin - a)
 
 
@@ -138,6 +145,12 @@ def damaged():
     timed = graph.op("add", x, graph.input(F, ("time", 0)))
     counts = Tables(Loop(graph, (), (), final=(graph.input(I, ("lane", 0)),)))
     yield other(carry=(timed,), tables=counts), "is float64, and time 0 is int64"
+    yield with_node("dot", F, (x, lane, x)), "no row and vector"
+    yield with_node("dot", I, (whole, whole)), "of int64 gives int64"
+    inner = Graph()
+    square = inner.op("mul", *[inner.input(F, ("argument", 1))] * 2)
+    yield with_node("call", F, (x,), Function(inner, square)), "with 1 operands"
+    yield other(switches=(Switch(x, True),)), "branch %1 is float64"
     broken = Tables(Loop(graph, (), (), final=(log,)))
     yield other(carry=(timed,), tables=broken), "final uses"
 

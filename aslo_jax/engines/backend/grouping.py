@@ -4,7 +4,7 @@ one vector, and calls of one function."""
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from ..ir.graph import Graph
+from ..ir.graph import Graph, Node
 
 LOOPED = ("dot", "call")
 
@@ -33,7 +33,9 @@ class Phase(NamedTuple):
 
 
 def phases(
-    graph: Graph, numbers: Iterable[int], varies: Mapping[int, tuple[bool, bool]]
+    nodes: Mapping[int, Node] | Sequence[Node],
+    numbers: Iterable[int],
+    varies: Mapping[int, tuple[bool, bool]],
 ) -> list[Phase]:
     """The nodes, arguments first, parted so that as many as may be are in one group: a node
     is in the phase that is the number of groups before it, one after the other."""
@@ -41,7 +43,7 @@ def phases(
     grouped: list[dict[Any, list[int]]] = [{}]
     rest: list[list[int]] = [[]]
     for number in numbers:
-        node = graph.nodes[number]
+        node = nodes[number]
         looped = node.op in LOOPED
         level = max((levels.get(a, 0) for a in node.args), default=0) + looped
         levels[number] = level

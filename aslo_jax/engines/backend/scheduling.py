@@ -7,12 +7,15 @@ from collections.abc import Collection, Iterable
 
 from ..ir.graph import Graph
 from ..ir.latency import latency
+from ..ir.specialisation import Special
 
 # Values that wait in registers, at most; from 4 to 12 it is the same.
 WAITING = 6
 
+Nodes = Graph | Special
 
-def depth_first(graph: Graph, roots: Iterable[int], inside: Collection[int]) -> list[int]:
+
+def depth_first(graph: Nodes, roots: Iterable[int], inside: Collection[int]) -> list[int]:
     """The nodes `inside` that the roots need, each as late as those after it allow: first
     the root that is made of the fewest levels, and of each node first the argument of most.
     Little waits in between."""
@@ -35,7 +38,7 @@ def depth_first(graph: Graph, roots: Iterable[int], inside: Collection[int]) -> 
     return out
 
 
-def ordered(graph: Graph, numbers: Iterable[int]) -> list[int]:
+def ordered(graph: Nodes, numbers: Iterable[int]) -> list[int]:
     """The nodes, arguments first: among those whose arguments are there, the one that the
     longest chain of operations waits for, or, while many values wait to be used, one that
     uses the last of some."""
@@ -43,7 +46,7 @@ def ordered(graph: Graph, numbers: Iterable[int]) -> list[int]:
 
 
 class _Schedule:
-    def __init__(self, graph: Graph, numbers: list[int]):
+    def __init__(self, graph: Nodes, numbers: list[int]):
         self.graph, self.numbers = graph, numbers
         inside = set(numbers)
         self.done: dict[int, int] = {}  # when a result is there

@@ -1,14 +1,19 @@
 """A step of a loop for some lanes at a time: what its vectors are made of, in which order,
 and which of them wait in memory (unroll factor, schedule and spill code)."""
 
+import copy
+import dataclasses
 import functools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 
+from ..ir.graph import BOOL
 from ..ir.loop import Loop, varying
 from ..ir.selection import Instruction, selected
+from ..ir.specialisation import specialised
 from .cost import cycles
 from .grouping import LOOPED, entries, needed_later, phases
 from .scheduling import depth_first, ordered
@@ -29,11 +34,14 @@ class Body:
       in which long chains of operations go on beside each other, one in which little waits;
     - `groups`: those of its vectors that loops make;
     - `record`: what only the records need, and `leaving`, the vectors of a step for it;
-    - `stored`: what must be in memory once it is made.
+    - `stored`: what must be in memory once it is made;
+    - `instructions`: how a vector is made, but for those that are a part of another one;
+    - `nodes`: operations by number, those of the graph or of what is left of it.
     """
 
     def __init__(self, loop: Loop):
         self.loop, graph = loop, loop.graph
+        self.nodes = graph.nodes
         self.varies = varying(graph, loop.needed())
         whole = graph.reachable(list(loop.carry))
         step = self.moving(whole)
@@ -43,11 +51,16 @@ class Body:
         vectors = {n for n in step if self.varies[n][1] and graph.nodes[n].op != "input"}
         needed = {a for n in self.record for a in graph.nodes[n].args} | set(loop.record)
         self.leaving = vectors & needed
-        self.phases = phases(graph, sorted(vectors), self.varies)
+        self.phases = phases(graph.nodes, sorted(vectors), self.varies)
         self.groups = [group for phase in self.phases for group in phase.groups]
-        read = entries(graph, self.groups) & vectors
-        self.stored = self.leaving | set(loop.carry) | read
+        self.read = entries(graph, self.groups) & vectors
         self.orders = self._ordered(loop)
+        chosen = selected(graph, self.orders[0], self.stored)
+        self.instructions = {x.result: x for x in chosen}
+
+    @property
+    def stored(self) -> set[int]:
+        return self.leaving | set(self.loop.carry) | self.read
 
     @property
     def lane_bytes(self) -> int:
@@ -65,21 +78,80 @@ class Body:
             second += [*members, *depth_first(graph, roots, set(rest))]
         return first, second
 
+    @functools.cached_property
+    def alternatives(self) -> list["Body"]:
+        """This body, or one for where all switches are as usual, one for where none is,
+        and itself for where they, or lanes, do not agree."""
+        switches = self.loop.switches
+        if not switches:
+            return [self]
+        special = [
+            self._where({n: usual == same for n, usual in switches})
+            for same in (True, False)
+        ]
+        agree = len(switches) == 1 and not self.varies[switches[0].condition][1]
+        return special if agree else [*special, self]
+
+    def _where(self, conditions: Mapping[int, bool]) -> "Body":
+        """What is left where it is known which conditions hold: some of the same
+        instructions, made by the step if they are here, and by the record if they are
+        there. A lane gets the same bits in whichever body."""
+        made, graph = copy.copy(self), self.loop.graph
+        roots = [*self.loop.carry, *self.loop.record]
+        left = specialised(graph, roots, conditions)
+        made.loop = dataclasses.replace(
+            self.loop,
+            carry=tuple(left.same[n] for n in self.loop.carry),
+            record=tuple(left.same[n] for n in self.loop.record),
+        )
+        made.nodes = left.nodes
+        made.varies = self.varies | {graph.const(b, BOOL): (False, False) for b in (0, 1)}
+        made.record = [n for n in self.record if n in left.nodes]
+        needed = {a for n in made.record for a in left.nodes[n].args}
+        vectors = left.nodes.keys() & set(self.orders[0])
+        made.leaving = vectors & (needed | set(made.loop.record))
+        made.orders = (
+            ordered(left, sorted(vectors)),
+            depth_first(left, [*made.loop.carry, *made.leaving], vectors),
+        )
+        made.instructions = {
+            n: x._replace(args=tuple(left.same[a] for a in x.args))
+            for n, x in self.instructions.items()
+            if n in vectors
+        }
+        return made
+
     def moving(self, numbers: Iterable[int]) -> list[int]:
         return [n for n in numbers if self.varies[n][0]]
 
 
-class Step:
-    """A body for `width` lanes at a time, on a target: `events` are how it makes its
-    vectors, in the order that promises to be faster. The instruction `group` with the
-    result `Part(-1, k)` is the k-th group of the body."""
+class Way(NamedTuple):
+    """A body, and the `events` that make its vectors."""
 
-    def __init__(
-        self, body: Body, width: int, target: Target, order: Sequence[int] | None = None
-    ):
+    body: Body
+    events: list[Event[Part]]
+
+    @property
+    def made(self) -> set[int]:
+        return {e.value.number for e in self.events if e.instruction}
+
+
+class Step:
+    """A body for `width` lanes at a time, on a target: how it and its alternatives make
+    their vectors, in the order that promises to be faster, or in that with the number
+    `order`. The instruction `group` with the result `Part(-1, k)` is the k-th group of the
+    body."""
+
+    def __init__(self, body: Body, width: int, target: Target, order: int | None = None):
         self.body, self.width, self.target = body, width, target
         self._counts: dict[int, int] = {}
-        self.events = self._planned(body.orders[0] if order is None else order)
+        self._order = order
+        self.usual = self._way(body.alternatives[0])
+
+    @functools.cached_property
+    def ways(self) -> list[Way]:
+        """The usual one first; the others are planned for the width that is chosen."""
+        return [self.usual, *map(self._way, self.body.alternatives[1:])]
 
     def parts(self, number: int) -> int:
         """How many registers the lanes of a node fill; those of a mask, as many as what it
@@ -94,31 +166,40 @@ class Step:
             self._counts[number] = count
         return self._counts[number]
 
-    def _planned(self, order: Sequence[int]) -> list[Event[Part]]:
-        loop, stored = self.body.loop, self.body.stored
-        kept = {Part(n, k) for n in stored for k in range(self.parts(n))}
-        loops = {g.members[0]: k for k, g in enumerate(self.body.groups)}
-        instructions, made = selected(loop.graph, order, stored), []
+    def _way(self, body: Body) -> Way:
+        orders = body.orders if self._order is None else [body.orders[self._order]]
+        plans = [self._planned(body, order) for order in orders]
+        if len(plans) == 1:
+            return Way(body, plans[0])
+        price = lambda events: cycles(body.loop, events, self.target)
+        return Way(body, min(plans, key=price))
+
+    def _planned(self, body: Body, order: Sequence[int]) -> list[Event[Part]]:
+        kept = {Part(n, k) for n in body.stored for k in range(self.parts(n))}
+        loops = {g.members[0]: k for k, g in enumerate(body.groups)}
+        instructions = [body.instructions[n] for n in order if n in body.instructions]
+        made: list[Instruction[Part]] = []
         for looped, some in groupby(instructions, lambda x: x.op in LOOPED):
             if looped:
-                some = [loops[x.result] for x in some if x.result in loops]
-                made += [Instruction(Part(-1, k), "group", ()) for k in some]
+                numbers = [loops[x.result] for x in some if x.result in loops]
+                made += [Instruction(Part(-1, k), "group", ()) for k in numbers]
                 continue
             some = list(some)
             values = {v for x in some for v in (x.result, *x.args)}
-            alike = {v for v in values if not self.body.varies[v][1]}
+            alike = {v for v in values if not body.varies[v][1]}
             counts = {v: self.parts(v) for v in values}
             made += in_parts(some, counts, alike, self.target.turn)
         return list(planned(made, kept, self.target.registers))
 
     @functools.cached_property
     def cycles(self) -> float:
-        """That it takes, estimated, for one lane."""
-        return cycles(self.body.loop, self.events, self.target) / self.width
+        """That it usually takes, estimated, for one lane."""
+        usual = self.usual
+        return cycles(usual.body.loop, usual.events, self.target) / self.width
 
     def instructions(self) -> int:
-        """About how many it takes."""
-        return sum(e.action in ("load", "store", "do") for e in self.events)
+        """About how many it usually takes."""
+        return sum(e.action in ("load", "store", "do") for e in self.usual.events)
 
 
 def chosen(loop: Loop, widths: Sequence[int], target: Target) -> Step:
@@ -127,7 +208,7 @@ def chosen(loop: Loop, widths: Sequence[int], target: Target) -> Step:
     body, best = Body(loop), None
     fitting = [w for w in widths if w * body.lane_bytes <= CACHE] or [min(widths)]
     for width in sorted(fitting):
-        steps = (Step(body, width, target, order) for order in body.orders)
+        steps = (Step(body, width, target, order) for order in (0, 1))
         step = min(steps, key=lambda step: step.cycles)
         if best is not None and best.cycles <= step.cycles:
             break  # with more lanes still it is slower still

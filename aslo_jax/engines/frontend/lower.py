@@ -239,12 +239,20 @@ def _cond(graph, equation, which, *arguments):
     found = [_closed(graph, branch, list(arguments)) for branch in branches]
     outs = found[-1]
     for k in range(len(branches) - 2, -1, -1):
-        if graph.dtype(number) == np.bool_:
-            here = graph.op("not", number)
-        else:
-            here = graph.op("le", number, graph.const(k, graph.dtype(number)))
-        outs = [select(graph, here, a, b) for a, b in zip(found[k], outs, strict=True)]
+        later = _greater(graph, number, k)
+        graph.branches[later] = None
+        outs = [select(graph, later, a, b) for a, b in zip(outs, found[k], strict=True)]
     return outs
+
+
+def _greater(graph: Graph, which: int, k: int) -> int:
+    """Whether an index of branches is greater than k; of two, that is a boolean."""
+    node = graph.nodes[which]
+    if k == 0 and node.op == "convert" and graph.dtype(node.args[0]) == np.bool_:
+        (which,) = node.args
+    if graph.dtype(which) == np.bool_:
+        return which
+    return graph.op("gt", which, graph.const(k, graph.dtype(which)))
 
 
 CONTROL = {"scan": _scan, "while": _while, "cond": _cond}

@@ -192,6 +192,7 @@ class Program:
             record=flat(advance[size:]),
             first=flat(begin[size:]),
             final=flat(finish),
+            branches=tuple(graph.branches),
         )
         return cls(loop, traced.record, traced.final, widths, **choice)
 

@@ -136,6 +136,7 @@ class Derivative:
             record=flat(advance[count:]),
             first=flat(begin[count:]),
             final=flat(final),
+            branches=tuple(given.graph.branches),
         )
         record, final = (
             (values, wide(rates, *lead)) for values, rates in (traced.record, traced.final)

@@ -57,6 +57,7 @@ class Graph:
 
     def __init__(self):
         self.nodes: list[Node] = []
+        self.branches: dict[int, None] = {}  # conditions that were branches in the source
         self._numbers: dict[Any, int] = {}
         self._functions: dict[Any, Function] = {}
 

@@ -27,6 +27,13 @@ class Tables(NamedTuple):
 NO_TABLES = Tables()
 
 
+class Switch(NamedTuple):
+    """A boolean node of a step, and what it is where the step takes less."""
+
+    condition: int
+    usual: bool
+
+
 @dataclasses.dataclass(frozen=True)
 class Loop:
     """What a kernel computes: nodes of `graph`, whose inputs have the slots
@@ -42,6 +49,10 @@ class Loop:
     the first step, and `record` at every so manyth one. `final` is what the last carry
     leaves: functions of it and of what is constant in time. `tables` make the inputs
     `("time", i)`.
+
+    `branches` are boolean nodes of a step that chose between branches in the source.
+    `switches` are some of them: where all lanes of a vector are as usual in all of these,
+    or in none, a body takes the step that does only what is needed then.
     """
 
     graph: Graph
@@ -51,6 +62,13 @@ class Loop:
     first: tuple[int, ...] = ()
     final: tuple[int, ...] = ()
     tables: Tables = NO_TABLES
+    branches: tuple[int, ...] = ()
+    switches: tuple[Switch, ...] = ()
+
+    @property
+    def conditions(self) -> list[int]:
+        """Of its switches."""
+        return [s.condition for s in self.switches]
 
     def of_a_step(self) -> list[int]:
         """The nodes of a step, those of its record included, arguments first."""
@@ -59,7 +77,7 @@ class Loop:
     def needed(self) -> list[int]:
         """All nodes, arguments first."""
         roots = [*self.begin, *self.carry, *self.record, *self.first, *self.final]
-        return self.graph.reachable(roots)
+        return self.graph.reachable([*roots, *self.conditions])
 
     def listing(self) -> str:
         """As text for people: a node a line, arguments first, with a dot where no step
@@ -82,6 +100,8 @@ class Loop:
         for kind in ("first", "record", "final"):
             if numbers := getattr(self, kind):
                 lines.append(f"{kind} = {', '.join(f'%{n}' for n in numbers)}")
+        for number, usual in self.switches:
+            lines.append(f"switch %{number}, {usual} as a rule")
         for name, table in zip(self.tables._fields, self.tables, strict=True):
             if table is not None:
                 inner = "\n".join("  " + line for line in table.listing().splitlines())

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 
 from .graph import Graph
-from .loop import Loop
+from .loop import Loop, Switch
 
 
 def rebuilt(
@@ -43,7 +43,8 @@ def replaced(loop: Loop, new: Mapping[int, int]) -> Loop:
 
 
 def moving_roots(loop: Loop) -> list[int]:
-    return [*loop.carry, *loop.record, *loop.final]
+    ends = [*loop.carry, *loop.record, *loop.final]
+    return [*ends, *loop.branches, *loop.conditions]
 
 
 def counted(loop: Loop) -> collections.Counter[int]:
@@ -61,14 +62,19 @@ def mapped(loop: Loop, found: Mapping[int, int]) -> Loop:
         carry=tuple(found[n] for n in loop.carry),
         record=tuple(found[n] for n in loop.record),
         final=tuple(found[n] for n in loop.final),
+        branches=tuple(found[n] for n in loop.branches),
+        switches=tuple(Switch(found[n], usual) for n, usual in loop.switches),
     )
 
 
 def pruned(loop: Loop) -> Loop:
-    """Without the entries of the carry that nothing needs, the others numbered anew."""
-    graph = loop.graph
+    """Without the entries of the carry that nothing needs, the others numbered anew, and
+    without the branches that no next carry depends on."""
+    graph, whole = loop.graph, set(loop.graph.reachable(list(loop.carry)))
+    branches = dict.fromkeys(n for n in loop.branches if n in whole)
+    loop = dataclasses.replace(loop, branches=tuple(branches))
     alive: set[int] = set()
-    more = carries(graph, graph.reachable([*loop.record, *loop.final]))
+    more = carries(graph, graph.reachable([*loop.record, *loop.final, *loop.conditions]))
     while more:
         alive |= set(more)
         found = carries(graph, graph.reachable([loop.carry[i] for i in more]))

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from .graph import BOOL, COMMUTES, COMPARISONS, FOLD, Graph
+from .graph import BOOL, COMMUTES, COMPARISONS, FOLD, Graph, Node
 from .loop import Loop
 
 COUNTS = {"select": 3, "fma": 3, "convert": 1, "bitcast": 1, "table": 1}
-COUNTS |= dict.fromkeys(("neg", "abs", "sqrt", "floor", "ceil", "rint", "not"), 1)
+COUNTS |= dict.fromkeys(("neg", "abs", "sqrt", "floor", "ceil", "rint"), 1)
+COUNTS |= dict.fromkeys(("not", "ones", "zeros"), 1)
 REAL = {"sqrt", "floor", "ceil", "rint", "fma"}
 BITS = {"and", "or", "xor", "not", "shl", "lshr", "ashr"}
 TIMELESS = ("shared", "lane")  # inputs of what is before the first step
@@ -28,6 +29,7 @@ def verify(loop: Loop) -> None:
       takes, in number or type;
     - `begin` and `carry`, or `first` and `record`, differ in length or types;
     - an input has a slot of no kind, beyond the carry, or beyond the tables;
+    - a branch is no condition;
     - `begin` and `first` use more than what is constant in time, or `final` more than that
       and the carry.
     """
@@ -44,6 +46,11 @@ def verify(loop: Loop) -> None:
     _inputs(loop, "first", loop.first, TIMELESS)
     _inputs(loop, "final", loop.final, (*TIMELESS, "carry"))
     _inputs(loop, "a step", (*loop.carry, *loop.record), INPUTS)
+    conditions = (*loop.conditions, *loop.branches)
+    _inputs(loop, "a branch", conditions, INPUTS)
+    for number in conditions:
+        if loop.graph.dtype(number) != BOOL:
+            _refuse(f"the branch %{number} is {loop.graph.dtype(number)}")
     beside, along = loop.tables
     for table in (beside, along):
         if table is not None:
@@ -74,6 +81,9 @@ def _node(graph: Graph, number: int) -> None:
         if node.op == "const" and np.asarray(node.data).dtype != node.dtype:
             _refuse(f"{what} of {node.dtype} is a {np.asarray(node.data).dtype}")
         return
+    if node.op in ("dot", "call"):
+        _looped(graph, node, what)
+        return
     if node.op not in COUNTS and node.op not in FOLD and node.op not in COMMUTES:
         _refuse(f"{what} is no operation")
     if len(node.args) != COUNTS.get(node.op, 2):
@@ -100,6 +110,27 @@ def _node(graph: Graph, number: int) -> None:
         _refuse(f"{what} takes {types[0]}")
     if node.op in BITS and types[0].kind == "f":
         _refuse(f"{what} takes {types[0]}")
+
+
+def _looped(graph: Graph, node: Node, what: str) -> None:
+    """An operation that many do in one loop."""
+    types = {graph.dtype(a) for a in node.args}
+    if types != {node.dtype} or node.dtype.kind != "f":
+        _refuse(f"{what} of {' and '.join(map(str, types))} gives {node.dtype}")
+    if node.op == "dot":
+        if len(node.args) % 2:
+            _refuse(f"{what} has {len(node.args)} operands, no row and vector")
+        return
+    inner = node.data.graph
+    if inner.dtype(node.data.result) != node.dtype:
+        _refuse(f"{what} calls a function that gives {inner.dtype(node.data.result)}")
+    for number in inner.reachable([node.data.result]):
+        _node(inner, number)
+        slot = inner.nodes[number].data
+        if inner.nodes[number].op == "input" and (
+            slot[0] != "argument" or not 0 <= slot[1] < len(node.args)
+        ):
+            _refuse(f"{what} calls a function of {slot}, with {len(node.args)} operands")
 
 
 def _inputs(loop: Loop, what: str, roots: Iterable[int], allowed: tuple[str, ...]) -> None:

@@ -44,7 +44,7 @@ class Groups:
         )
 
     def _groups(self, numbers: Iterable[int]) -> list[Group]:
-        return [g for p in phases(self.graph, numbers, self.varies) for g in p.groups]
+        return [g for p in phases(self.graph.nodes, numbers, self.varies) for g in p.groups]
 
     def _single(self, groups: list[Group]) -> set[int]:
         """What is needed elsewhere than in arrays that loops fill."""

@@ -8,18 +8,20 @@ for want of registers. Hence a step takes turns with several pointers to the fra
 LLVM does not know that they are the same.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from ..backend.grouping import LOOPED, Group, phases
 from ..backend.splitting import Part
-from ..backend.step import Step
+from ..backend.step import Step, Way
+from ..ir.graph import Node
 from ..ir.loop import Slot
 from ..ir.selection import Instruction
 from .arrays import Groups
 from .layout import POINTERS, Layout
 from .loops import operation
+from .switching import WAYS, Condition, branch
 from .writer import PARTIAL
 
 
@@ -61,15 +63,20 @@ class _Kernel:
             self.vectors[number] = self.out.splat(self.scalars[number], node.dtype)
         return self.vectors[number]
 
-    def compute(self, numbers: Iterable[int]) -> None:
+    def compute(
+        self,
+        numbers: Iterable[int],
+        nodes: Mapping[int, Node] | Sequence[Node] | None = None,
+    ) -> None:
         """Emits the nodes, each on a vector where it varies over lanes."""
-        for groups, rest in phases(self.graph, numbers, self.varies):
+        nodes = self.graph.nodes if nodes is None else nodes
+        for groups, rest in phases(nodes, numbers, self.varies):
             for group in groups:
                 vector = self.varies[group.members[0]][1]
                 made = self.groups.compute(group)
                 (self.vectors if vector else self.scalars).update(made)
             for number in rest:
-                node = self.graph.nodes[number]
+                node = nodes[number]
                 if node.op in ("const", "input"):
                     continue
                 vector = self.varies[number][1]
@@ -89,7 +96,6 @@ class _Kernel:
         self._entry()
         self._begin()
         self._advance()
-        self._record()
         self._finish()
         arguments = "i64 %first, i64 %last, i64 %lanes, ptr %limit, i64 %every"
         wide = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
@@ -190,24 +196,71 @@ class _Kernel:
             if slot[0] not in ("carry", "lane log"):
                 self._read(slot, number)
         self.compute(self.body.scalars)
-        self.spreads: dict[tuple[int, int], str] = {}
         for group in self.body.groups:
             self.groups.reserve(group)
-        self._make()
+        ways = self.layout.step.ways
+        if len(ways) > 1:
+            self._count()
+            self._choose()
+        left, saved = [], []
+        for way, name in zip(ways, WAYS, strict=False):
+            if len(ways) > 1:
+                self.out.label(name)
+            self._make(way)
+            if len(ways) == 1:
+                self._count()
+            suffix = "" if len(ways) == 1 else f"_{name}"
+            end, record = self.out.block, f"record{suffix}"
+            self.out.line(f"br i1 %due, label %{record}, label %advanced")
+            self._record(way, suffix)
+            left += [f"[ %fewer, %{end} ]", f"[ %every, %{record} ]"]
+            saved += [f"[ %saved, %{end} ]", f"[ %more_saved{suffix}, %{record} ]"]
+        self.out.label("advanced")
+        self.out.line(f"%next_left = phi i64 {', '.join(left)}")
+        self.out.line(f"%next_saved = phi i64 {', '.join(saved)}")
+        self.out.line("br label %time")
+
+    def _count(self) -> None:
+        """Steps, and those until the next record."""
         self.out.line("%next_k = add i64 %k, 1")
         self.out.line("%fewer = sub i64 %left, 1")
         self.out.line("%due = icmp eq i64 %fewer, 0")
-        self.out.line("br i1 %due, label %record, label %advanced")
 
-    def _make(self) -> None:
+    def _choose(self) -> None:
+        """Which way a step goes."""
+        conditions = []
+        for number, usual in self.loop.switches:
+            vector = self._differs(number)
+            name = self._mask(number) if vector else self.operand(number, False)
+            conditions.append(Condition(name, vector, usual))
+        branch(self.out, conditions, agreed=len(self.layout.step.ways) == 2)
+
+    def _mask(self, switch: int) -> str:
+        """The switch of all lanes, by the instructions that make it in a body."""
+        for number in self.graph.reachable([switch]):
+            node, made = self.graph.nodes[number], self.body.instructions.get(number)
+            if number in self.layout.fixed:
+                place = self.layout.at(self.layout.fixed[number])
+                self.vectors[number] = self.layout.got(place, node.dtype)
+            elif node.op == "input" and node.data[0] in ("carry", "lane log"):
+                self._read(node.data, number)
+            elif made is not None:
+                x = [self.operand(a, True) for a in made.args]
+                self.vectors[number] = self.result(number, made.op, made.args, x, True)
+        mask, self.vectors = self.vectors[switch], dict(self.invariant)
+        return mask
+
+    def _make(self, way: Way) -> None:
         """The vectors of a step, and the next carry."""
+        self.made, self.spreads = way.made, {}
+        leaving = way.body.leaving
         carry: dict[int, list[int]] = {}
-        for i, number in enumerate(self.loop.carry):
+        for i, number in enumerate(way.body.loop.carry):
             carry.setdefault(number, []).append(i)
         whole = {n: self.layout.home(places[0], "%next") for n, places in carry.items()}
-        for n in self.body.leaving - carry.keys():
+        for n in leaving - carry.keys():
             whole[n] = self.groups.home(n), "0"
-        listed = self.groups.stored(self.layout.made)
+        listed = self.groups.stored(self.made)
         home = {
             v: (offset + self.layout.first(v), base)
             for n, (offset, base) in (
@@ -216,14 +269,14 @@ class _Kernel:
             for v in self.layout.parts(n)
         }
         self.parts: dict[Part, str] = {}
-        for event in self.layout.step.events:
+        for event in way.events:
             value = event.value
             if event.instruction is not None and event.instruction.op == "group":
                 self._loop(self.body.groups[value.place])
                 continue
             dtype, lanes = self.graph.dtype(value.number), self.layout.lanes(value.number)
             with self.layout.on(lanes):
-                if event.action == "load" and value.number not in self.layout.made:
+                if event.action == "load" and value.number not in self.made:
                     self.parts[value] = self._lasting(value)
                 elif event.action == "drop":
                     self.parts.pop(value)
@@ -240,24 +293,24 @@ class _Kernel:
                     self.parts[value] = self._done(event.instruction)
                     for i in carry.get(value.number, ()):
                         self._keep_part(i, value, self.parts[value])
-                    if value.number in self.body.leaving - carry.keys():
+                    if value.number in leaving - carry.keys():
                         self.layout.put(
                             self.parts[value], self.layout.at(*home[value]), dtype
                         )
                     for offset in listed.get(value.number, ()):
                         place = self.layout.at(offset + self.layout.first(value))
                         self.layout.put(self.parts[value], place, dtype)
-        for number in carry.keys() - self.layout.made:
+        for number in carry.keys() - self.made:
             with self.layout.on(self.layout.lanes(number)):
                 for value in self.layout.parts(number):
                     given = self._lasting(value)
                     for i in carry[number]:
                         self._keep_part(i, value, given)
-        self.leaving = {n: whole[n] for n in self.body.leaving}
+        self.leaving = {n: whole[n] for n in leaving}
 
     def _loop(self, group: Group) -> None:
         """A group of a step, whose registers are free."""
-        for number, array, k in self.groups.given(group, self.layout.made):
+        for number, array, k in self.groups.given(group, self.made):
             if not array.wide:
                 self.groups.put(number, array, k)
                 continue
@@ -294,7 +347,7 @@ class _Kernel:
     ) -> str:
         """Of an instruction, an argument in some parts; a constant as a `literal`."""
         number, lanes = parts[0].number, self.out.width
-        alike = number not in self.layout.made and not self._differs(number)
+        alike = number not in self.made and not self._differs(number)
         if (
             alike
             and not literal
@@ -384,9 +437,9 @@ class _Kernel:
         first = self.out.define(f"mul i64 {row}, %lanes")
         return self.out.offset(pointer, dtype, self.out.define(f"add i64 {first}, %lane"))
 
-    def _record(self) -> None:
+    def _record(self, way: Way, suffix: str) -> None:
         """At every so manyth step: what only the records need, and the records."""
-        self.out.label("record")
+        self.out.label(f"record{suffix}")
         self.vectors = dict(self.invariant)
         for slot, number in self.inputs.items():
             if slot[0] in ("carry", "lane log"):
@@ -394,17 +447,11 @@ class _Kernel:
         for number, home in self.leaving.items():
             place, dtype = self.layout.at(*home), self.graph.dtype(number)
             self.vectors[number] = self.layout.got(place, dtype)
-        self.compute(self.body.record)
-        self._write("record", self.loop.record, "%saved")
-        self.out.line("%more_saved = add i64 %saved, 1")
+        self.compute(way.body.record, way.body.nodes)
+        self._write("record", way.body.loop.record, "%saved")
+        self.out.line(f"%more_saved{suffix} = add i64 %saved, 1")
         self.out.line("br label %advanced")
-        self.vectors = self.invariant
-        self.out.label("advanced")
-        self.out.line("%next_left = phi i64 [ %fewer, %advance ], [ %every, %record ]")
-        self.out.line(
-            "%next_saved = phi i64 [ %saved, %advance ], [ %more_saved, %record ]"
-        )
-        self.out.line("br label %time")
+        self.vectors = dict(self.invariant)
 
     def _finish(self) -> None:
         """For each block of lanes: what its last state leaves."""

@@ -7,7 +7,8 @@ import numpy as np
 
 from ..backend.grouping import LOOPED, entries
 from ..backend.splitting import Part
-from ..backend.step import Step
+from ..backend.step import Step, Way
+from ..ir.graph import Node
 from ..ir.rewrite import carries
 from ..ir.selection import Instruction
 from .frame import Frame
@@ -20,7 +21,7 @@ class Layout:
     """Places in the frame, and the instructions that read and write them."""
 
     def __init__(self, step: Step):
-        self.out = Writer(step.width)
+        self.out = Writer(step.width, exact=len(step.ways) > 1)
         self.step, self.body, self.register = step, step.body, step.target.register
         self.loop, self.graph = step.body.loop, step.body.loop.graph
         self.varies = step.body.varies
@@ -31,29 +32,10 @@ class Layout:
 
     def _lay_out(self) -> None:
         """Places for what a step reads and does not make: constants, what is fixed, and
-        the carry. An entry of it that is made before its predecessor is read for the last
-        time has two places; one that is made of that last reading needs only one."""
-        instructions = [e.instruction for e in self.step.events if e.instruction]
-        end = len(instructions)
-        made = {x.result: time for time, x in enumerate(instructions)}
-        read = {a: time for time, x in enumerate(instructions) for a in self._read(x)}
-        self.made = {v.number for v in made}
-        outside = {a for n in self.body.record for a in self._single(n)}
-        outside |= {*self.loop.carry, *self.loop.record}
-        read |= {v: end for n in outside for v in self.parts(n)}
-        numbers = dict.fromkeys(v.number for v in read)
-        inputs = carries(self.graph, numbers)
-
-        def overlaps(i: int, number: int) -> bool:
-            if i not in inputs:
-                return False
-            before, after = self.parts(inputs[i]), self.parts(number)
-            if len(before) != len(after):
-                return True
-            pairs = zip(before, after, strict=True)
-            return any(made.get(a, -1) < read.get(b, -1) for b, a in pairs)
-
-        double = [overlaps(i, n) for i, n in enumerate(self.loop.carry)]
+        the carry."""
+        numbers: dict[int, None] = {}
+        overlaps = [self._overlaps(way, numbers) for way in self.step.ways]
+        double = [any(some) for some in zip(*overlaps, strict=True)]
         self.half = sum(
             self.size(d) for d, two in zip(self.carried, double, strict=True) if two
         )
@@ -79,12 +61,37 @@ class Layout:
         array = entries(self.graph, [self.body.groups[instruction.result.place]])
         return [v for n in array if self.varies[n][0] for v in self.parts(n)]
 
-    def _single(self, number: int) -> Sequence[int]:
+    def _single(self, node: Node) -> Sequence[int]:
         """The arguments of a node that are not only in arrays."""
-        args = self.graph.nodes[number].args
-        if self.graph.nodes[number].op not in LOOPED:
-            return args
-        return [a for a in args if self.varies[a][0]]
+        if node.op not in LOOPED:
+            return node.args
+        return [a for a in node.args if self.varies[a][0]]
+
+    def _overlaps(self, way: Way, numbers: dict[int, None]) -> list[bool]:
+        """For each entry of the carry, whether it needs two places: it is made before its
+        predecessor is read for the last time. One that is made of that last reading needs
+        only one. What is read goes to the `numbers`."""
+        body = way.body
+        instructions = [e.instruction for e in way.events if e.instruction]
+        end = len(instructions)
+        made = {x.result: time for time, x in enumerate(instructions)}
+        read = {a: time for time, x in enumerate(instructions) for a in self._read(x)}
+        outside = {a for n in body.record for a in self._single(body.nodes[n])}
+        outside |= {*body.loop.carry, *body.loop.record}
+        read |= {v: end for n in outside for v in self.parts(n)}
+        numbers |= dict.fromkeys(v.number for v in read)
+        inputs = carries(self.graph, {v.number for v in read})
+
+        def overlaps(i: int, number: int) -> bool:
+            if i not in inputs:
+                return False
+            before, after = self.parts(inputs[i]), self.parts(number)
+            if len(before) != len(after):
+                return True
+            pairs = zip(before, after, strict=True)
+            return any(made.get(a, -1) < read.get(b, -1) for b, a in pairs)
+
+        return [overlaps(i, n) for i, n in enumerate(body.loop.carry)]
 
     def size(self, dtype: np.dtype) -> int:
         """Bytes of a value of all lanes in the frame, a mask as wide as doubles."""

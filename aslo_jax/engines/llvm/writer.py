@@ -21,7 +21,7 @@ TYPES = {
     "bool": "i1",
 }
 # Products may be fused with sums; NaN and infinity keep their meaning.
-FLAGS = "contract nsz arcp"
+FLAGS = "contract nsz arcp "
 BINARY = ("add", "sub", "mul", "div", "and", "or", "xor")
 SHIFTS = ("shl", "lshr", "ashr")
 # Of whole numbers, those that LLVM does not define for every second operand.
@@ -40,16 +40,20 @@ INTRINSICS = {
 
 
 class Writer:
-    """The lines of a function, and the instructions that they are made of."""
+    """The lines of a function, and the instructions that they are made of; `exact` where
+    LLVM may change none, whoever else needs its result."""
 
-    def __init__(self, width: int):
-        self.width = width
+    def __init__(self, width: int, exact: bool = False):
+        self.width, self.flags = width, "" if exact else FLAGS
         self.lines: list[str] = []
+        self.block = "entry"
         self.declarations: set[str] = set()
         self.tables: dict[bytes, tuple[str, str]] = {}  # names and definitions
         self._count = 0
 
     def label(self, name: str) -> None:
+        """The block of the lines that follow."""
+        self.block = name
         self.lines.append(f"{name}:")
 
     def line(self, text: str) -> None:
@@ -129,9 +133,10 @@ class Writer:
         if op in COMPARISONS:
             return self.define(f"{_comparison(op, source)} {inner} {x[0]}, {x[1]}")
         if op in BINARY:
-            return self.define(f"{_binary(op, dtype)} {kind} {x[0]}, {x[1]}")
+            name = f"f{op} {self.flags}" if real else f"{_binary(op, dtype)} "
+            return self.define(f"{name}{kind} {x[0]}, {x[1]}")
         if op == "neg" and real:
-            return self.define(f"fneg {FLAGS} {kind} {x[0]}")
+            return self.define(f"fneg {self.flags}{kind} {x[0]}")
         if op == "neg":
             return self.define(f"sub {kind} {self.constant(0, dtype, vector)}, {x[0]}")
         if op == "not":
@@ -148,7 +153,7 @@ class Writer:
         if op in PRODUCTS:
             sign = PRODUCTS[op]
             x = [
-                self.define(f"fneg {FLAGS} {kind} {v}") if k == sign else v
+                self.define(f"fneg {self.flags}{kind} {v}") if k == sign else v
                 for k, v in enumerate(x)
             ]
             return self.call("fmuladd", kind, x)
@@ -298,8 +303,6 @@ def _comparison(op: str, dtype: np.dtype) -> str:
 
 
 def _binary(op: str, dtype: np.dtype) -> str:
-    if dtype.kind == "f":
-        return f"f{op} {FLAGS}"
     if op == "div":
         return "sdiv" if dtype.kind == "i" else "udiv"
     return op

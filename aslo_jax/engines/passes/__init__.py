@@ -15,6 +15,7 @@ from .correlated import decided
 from .factors import factored
 from .quotients import undivided
 from .timetable import timetabled
+from .unswitching import unswitched
 
 
 class Pass(NamedTuple):
@@ -30,6 +31,7 @@ PASSES = (
     Pass("quotients", undivided),
     Pass("factors", factored),
     Pass("timetable", timetabled),
+    Pass("unswitching", unswitched),
 )
 
 

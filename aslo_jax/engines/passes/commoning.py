@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from ..ir.graph import Graph
 from ..ir.loop import Loop
 from ..ir.rewrite import carries, rebuilt, replaced
+from .unswitching import always
 
 # Operations that a value must take to be worth a place in memory, and those of some.
 WORTH = 3
@@ -31,6 +32,10 @@ def kept(loop: Loop) -> Loop:
     chosen_later = _of_chosen(loop, step, known, worth)
     again |= set(chosen_later)
     later |= chosen_later
+    if loop.branches:
+        # What one branch alone needs is not kept where it would take work in the others.
+        ever = always(loop)
+        again = {n for n in again if n in ever or later[n] in ever}
     chosen: dict[int, int] = {}
     begin, carry = list(loop.begin), list(loop.carry)
     now = carries(graph, [*step, *graph.reachable([*loop.record, *loop.final])])

@@ -52,12 +52,14 @@ def timetabled(loop: Loop) -> Loop:
         moved = rebuilt(graph, first, {graph.input(np.int64, ("step", 0)): index})
         beside = Loop(graph, (), (), final=tuple(moved[n] for n in first))
     if second:
-        along = pruned(dataclasses.replace(loop, record=tuple(second), first=(), final=()))
+        alone = dataclasses.replace(loop, first=(), final=(), branches=())
+        along = pruned(dataclasses.replace(alone, record=tuple(second)))
     # What is final follows from the last carry, after all of the times.
     found = rebuilt(graph, [*loop.carry, *loop.record], new)
     rest = dataclasses.replace(
         loop,
         carry=tuple(found[n] for n in loop.carry),
         record=tuple(found[n] for n in loop.record),
+        branches=tuple(found[n] for n in loop.branches if n in found),
     )
     return dataclasses.replace(pruned(rest), tables=Tables(beside, along))

@@ -19,7 +19,7 @@ SMALL, BRIEF = 1e-3, 5e-2
 class Kernel:
     def __init__(self, step: Step):
         self.loop, self.width = step.body.loop, step.width
-        self._once, self._each = len(self.loop.needed()), len(step.events)
+        self._once, self._each = len(self.loop.needed()), len(step.usual.events)
         self._function = compiled(emit(step), step.target.features)
 
     def __call__(

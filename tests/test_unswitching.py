@@ -1,0 +1,428 @@
+"""A body for each outcome of a branch: the results of `scan`, and the same bits whichever
+body a lane goes through, which its neighbours decide."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from loops import PAIRS, by_hand, program
+
+import aslo_jax as aslo
+from aslo_jax.engines import Runner
+from aslo_jax.engines.fused.program import Bodies, Program
+from aslo_jax.engines.ir.loop import varying
+from aslo_jax.engines.ir.rewrite import moving_roots
+from aslo_jax.engines.ir.specialisation import specialised
+from aslo_jax.metrics import AbstractMetric
+
+pytest.importorskip("llvmlite")
+STEPS, LANES, TERMS = 40, 1025, 20
+
+
+def series(x, y, terms=TERMS):
+    """Some operations for each term, bounded by 2 where x and y are by 1."""
+    total = x
+    for j in range(terms):
+        total = 0.5 * total * y + x / (2.0 + j) - 0.1 * total * total * x
+    return total
+
+
+def ends(loop):
+    """How many operations a step has, and the longer and the shorter of its bodies."""
+    graph, roots = loop.graph, loop.carry
+    busy = lambda numbers: sum(graph.nodes[n].op not in ("const", "input") for n in numbers)
+    assert loop.switches
+    each = [{n: usual == same for n, usual in loop.switches} for same in (False, True)]
+    both = [specialised(graph, roots, known).nodes for known in each]
+    return busy(graph.reachable(list(roots))), *map(busy, both)
+
+
+def right(begin, advance, finish):
+    """The loop, found right."""
+    made = program(begin, advance, finish, x=PAIRS)
+    found = made({"lane": PAIRS}, 3, 5)
+    expected = by_hand(begin, jax.jit(advance), finish, 5, x=PAIRS)
+    for ours, theirs in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12)
+    return made.loop
+
+
+def bits(tree):
+    return [
+        np.ascontiguousarray(x).view(f"u{x.dtype.itemsize}") for x in jax.tree.leaves(tree)
+    ]
+
+
+# -- bits --------------------------------------------------------------------------------
+
+
+def advance(k, carry, inputs):
+    """A product that each branch adds to something: alone, it would be a part of the sum
+    and not be rounded. A filter that only one branch moves, a mask, a counter, an entry
+    that is the same for all lanes, entries that trade places in a branch."""
+    a, b, left, right, count, flag, clock = carry
+    x, until = inputs["lane"]
+    product, log = a * b, inputs["log"]
+
+    def costly(a, left, right):
+        more = series(a, b + 0.1 * log)
+        after = 0.7 * jnp.sin(product + x) + 0.2 * more
+        return after, right, left, more > 0.2, more * b
+
+    def plain(a, left, right):
+        return jnp.cos(x - product), left, 0.9 * right + 0.1 * a, flag, b - x
+
+    starts = count < until
+    out = jax.lax.cond(starts, costly, plain, a, left, right)
+    after, left, right, flag, output = out
+    b = 0.7 * b + 0.2 * jnp.sin(after + clock) * inputs["lane log"]
+    both = jnp.where(flag, a, b) * clock
+    carry = after, b, left, right + 0.0 * both, count + 1, flag, 0.9 * clock + 0.01
+    return carry, (output * x + both, after, jnp.where(starts, output, left), flag)
+
+
+def begin(inputs):
+    x, _ = inputs["lane"]
+    same = jnp.asarray(0.3, x.dtype)
+    return (x, 0.5 - 0.5 * x, 0.1 * x, 0.0 * x, jnp.int32(0), x > 0.0, same), None
+
+
+def finish(carry, inputs):
+    a, b, left, right, count, flag, _ = carry
+    return a - b, left, right, count, flag
+
+
+def given(dtype):
+    rng = np.random.default_rng(0)
+    until = rng.integers(0, 30, LANES).astype(np.int32)
+    until[200:240] = 12  # neighbours that agree
+    return {
+        "lane": (rng.uniform(-1.0, 1.0, LANES).astype(dtype), until),
+        "log": rng.uniform(-1.0, 1.0, STEPS).astype(dtype),
+        "lane log": rng.uniform(-1.0, 1.0, (LANES, STEPS)).astype(dtype),
+    }
+
+
+def some(inputs, lanes):
+    each = lambda tree: jax.tree.map(lambda x: x[lanes], tree)
+    return {k: v if k == "log" else each(v) for k, v in inputs.items()}
+
+
+def by_scan(inputs):
+    def one(lane, row):
+        fixed = {"lane": lane}
+
+        def step(carry, now):
+            k, log, lane_log = now
+            return advance(k, carry, fixed | {"log": log, "lane log": lane_log})
+
+        times = jnp.arange(STEPS), inputs["log"], row
+        carry, record = jax.lax.scan(step, begin(fixed)[0], times)
+        return jax.tree.map(lambda r: r[4::5], record), finish(carry, fixed)
+
+    return jax.jit(jax.vmap(one))(inputs["lane"], inputs["lane log"])
+
+
+@functools.cache
+def made(dtype, width):
+    inputs = given(dtype)
+    shapes = {k: jax.tree.map(lambda x: x[0], v) for k, v in inputs.items()}
+    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), shapes)
+    shapes["lane log"] = shapes["log"]
+    return Program.of(Bodies(begin, advance, finish), shapes, (width,))
+
+
+@functools.cache
+def alone(dtype):
+    """Twelve lanes, each without neighbours that could disagree."""
+    inputs, run = given(dtype), made(dtype, 4)
+    each = [run(some(inputs, [k]), 1, STEPS, every=5, threads=1) for k in range(195, 207)]
+    return [np.concatenate(x) for x in zip(*map(bits, each), strict=True)]
+
+
+@pytest.mark.parametrize("width", [4, 16])
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_bits_do_not_depend_on_the_neighbours(dtype, width):
+    inputs, run = given(dtype), made(dtype, width)
+    assert len(run.loop.switches) == 1
+    whole = run(inputs, LANES, STEPS, every=5, threads=2)
+    for ours, theirs in zip(*map(jax.tree.leaves, (whole, by_scan(inputs))), strict=True):
+        assert ours.dtype == theirs.dtype
+        precision = 1e-11 if dtype == np.float64 else 2e-4
+        np.testing.assert_allclose(ours, theirs, precision, 0.1 * precision)
+    expected = bits(whole)
+    for ours, theirs in zip(expected, alone(dtype), strict=True):
+        np.testing.assert_array_equal(ours[195:207], theirs)
+    for first, count in ((190, 1), (0, 3), (198, 7), (180, 65), (0, 1025)):
+        lanes = slice(first, first + count)
+        found = run(some(inputs, lanes), count, STEPS, every=5, threads=1)
+        for ours, theirs in zip(bits(found), expected, strict=True):
+            np.testing.assert_array_equal(ours, theirs[lanes])
+
+
+# -- which branches ----------------------------------------------------------------------
+
+
+def start(x):
+    a, b = x
+    return 0.5 * a, 0.3 * b, 0.0 * a
+
+
+def of(condition, costly=lambda a, b: series(a, b), plain=lambda a, b: 0.5 * a - 0.1 * b):
+    """A loop with such branches; its third entry counts steps."""
+
+    def advance(k, carry, x):
+        a, b, count = carry
+        starts = condition(k, carry, x)
+        after = jax.lax.cond(starts, costly, plain, a, b)
+        return after, 0.9 * b + 0.1 * jnp.cos(after), count + 1.0
+
+    return start, advance, lambda carry: carry[:2]
+
+
+CONDITIONS = {
+    "state": lambda k, carry, x: carry[2] < 3.0 + x[0],
+    "not": lambda k, carry, x: ~(carry[2] >= 3.0 + x[0]),
+    "both": lambda k, carry, x: (carry[2] < 3.0) & (x[1] > 0.0),
+    "lane": lambda k, carry, x: x[0] > 0.0,
+    "time": lambda k, carry, x: k < 3,
+    "uniform state": lambda k, carry, x: (2 * k + 1) % 3 == 0,
+}
+
+
+@pytest.mark.parametrize("name", CONDITIONS)
+def test_a_step_switches(name):
+    loop = right(*of(CONDITIONS[name]))
+    whole, costly, plain = ends(loop)
+    assert plain < 50 and 100 < costly <= whole
+    (number,) = loop.conditions
+    over_lanes = varying(loop.graph, loop.needed())[number][1]
+    assert over_lanes == ("time" not in name and "uniform" not in name)
+
+
+def test_of_several_branches_a_step_switches_on_the_one_that_saves_most():
+    """Beside and within each other."""
+
+    def advance(k, carry, x):
+        a, b, count = carry
+
+        def outer(a, b):
+            inner = lambda a, b: series(a, b, 12)
+            return jax.lax.cond(a > 0.1, inner, lambda a, b: a - b, a, b) - series(b, a, 12)
+
+        after = jax.lax.cond(count < 3.0 + x[0], outer, lambda a, b: 0.5 * a, a, b)
+        which = jnp.clip(count.astype(int), 0, 2)
+        twigs = [lambda b: 0.9 * b, lambda b: 0.8 * b, lambda b: series(b, b, 4)]
+        return after, jax.lax.switch(which, twigs, b), count + 1.0
+
+    loop = right(start, advance, lambda carry: carry[:2])
+    whole, costly, plain = ends(loop)
+    assert plain < whole - 100 and costly <= whole
+
+
+def test_a_step_switches_on_several_branches_at_once():
+    """Of which one is usually taken and the other is not, one depends on the lane and the
+    other on time alone; in some steps a lane takes one costly branch or both."""
+
+    def advance(k, carry, x):
+        a, b, count = carry
+        costly = lambda a, b: series(a, b) + jnp.sin(a * b)
+        plain = lambda a, b: jnp.cos(a * b) - 0.1 * b
+        a = jax.lax.cond(count < 2.0 + x[0], costly, plain, a, b)
+        return a, jax.lax.cond(k >= 3, plain, costly, b, 0.5 * a), count + 1.0
+
+    loop = right(start, advance, lambda carry: carry[:2])
+    assert sorted(usual for _, usual in loop.switches) == [False, True]
+    whole, costly, plain = ends(loop)
+    assert plain < whole - 200 and costly < whole
+    made = program(start, advance, lambda carry: carry[:2], x=PAIRS)
+    _, together = made({"lane": PAIRS}, 3, 5)
+    for k in range(3):
+        _, one = made({"lane": jax.tree.map(lambda x: x[k : k + 1], PAIRS)}, 1, 5)  # noqa: B023
+        for ours, theirs in zip(bits(together), bits(one), strict=True):
+            np.testing.assert_array_equal(ours[k], theirs[0])
+
+
+@pytest.mark.parametrize(
+    "choose",
+    [
+        lambda c, a, b: jax.lax.cond(c, lambda: 0.3 * a + b, lambda: 0.5 * a),
+        lambda c, a, b: jnp.where(c, series(a, b), 0.5 * a),
+    ],
+)
+def test_a_step_chooses_where_branches_are_cheap_or_none(choose):
+    def advance(k, carry, x):
+        a, b, count = carry
+        after = choose(count < 3.0 + x[0], a, b)
+        return after, 0.9 * b + 0.1 * jnp.cos(after), count + 1.0
+
+    loop = right(start, advance, lambda carry: carry[:2])
+    assert not loop.switches and not loop.branches
+
+
+def test_what_a_branch_computes_twice_is_not_kept_by_all():
+    """At the start of a step what it computed at the end of the one before: that is kept
+    where it is needed anyway, but not to save one branch a half and cost the other all."""
+
+    def advance(k, carry, x):
+        a, b, count = carry
+        after = 0.9 * b + 0.1 * jnp.sin(count)
+
+        def costly(a, b, after):
+            return 0.5 * (series(0.0, b) + series(0.1, after))
+
+        plain = lambda a, b, after: 0.5 * a - 0.1 * b
+        value = jax.lax.cond(count < 3.0 + x[0], costly, plain, a, b, after)
+        return value, after, count + 1.0
+
+    def same(k, carry, x):
+        """The same function at both ends."""
+        a, b, count = carry
+        after = 0.9 * b + 0.1 * jnp.sin(count)
+        costly = lambda a, b, after: 0.5 * (series(0.2, b) + series(0.2, after))
+        plain = lambda a, b, after: 0.5 * a - 0.1 * b
+        value = jax.lax.cond(count < 3.0 + x[0], costly, plain, a, b, after)
+        return value, after, count + 1.0
+
+    for step in (advance, same):
+        loop = right(start, step, lambda carry: carry[:2])
+        _, costly, plain = ends(loop)
+        assert plain < costly - 100
+
+
+def test_a_specialised_step_has_no_other_operations():
+    """Nodes keep their numbers, operations and, but for choices, their arguments."""
+    loop = program(*of(CONDITIONS["both"]), x=PAIRS).loop
+    graph = loop.graph
+    for holds in (True, False):
+        left = specialised(graph, moving_roots(loop), {loop.conditions[0]: holds})
+        assert loop.conditions[0] not in left.nodes
+        for number, node in left.nodes.items():
+            assert node == graph.nodes[number]._replace(args=node.args)
+            assert node.args == tuple(left.same[a] for a in graph.nodes[number].args)
+
+
+# -- what users write --------------------------------------------------------------------
+
+
+class Slow(aslo.AbstractObserver):
+    """A filter of the measurement, and until its clock has run a series of it."""
+
+    until: jax.Array  # s
+
+    def equations(self, F, u, y):
+        clock = F.state("clock", jnp.zeros(()), jnp.ones(()))
+        low = F.state("low", y, lambda low: 20.0 * (y - low))
+        costly = lambda low: series(0.3 * low, 0.2 * jnp.cos(low), 30)
+        value = jax.lax.cond(clock < self.until, costly, lambda low: 0.3 * low, low)
+        F.state("after", jnp.zeros(()), lambda after: 5.0 * (value - after))
+        return aslo.Estimate(value[None], jnp.ones(()), jnp.asarray(False))
+
+
+class Falling(aslo.plants.AbstractPlant):
+    """`x' = -x + u`, measured."""
+
+    def initial(self):
+        return jnp.asarray(1.0)
+
+    def vector_field(self, t, x, u):
+        return u - x
+
+    def output(self, x):
+        return x
+
+    def hidden(self, x):
+        return x[None]
+
+
+def experiment(sample):
+    until, amplitude = sample
+    drive = aslo.control.OpenLoop(lambda t: amplitude * jnp.sin(5.0 * t))
+    return aslo.Experiment(Falling(), drive, {"slow": Slow(until)}, 1e-2)
+
+
+class Duck(eqx.Module):
+    """A loop of a user's own."""
+
+    sample: tuple
+
+    def init(self):
+        a = 0.5 * self.sample[1]
+        return (a, 0.0 * a), self.record(a, 0.0 * a)
+
+    def prepare(self, carry):
+        return None
+
+    def advance(self, k, carry, prepared):
+        def costly(carry):
+            a, t = carry
+            return series(a, 0.3 * jnp.cos(a), 30), t + 1e-2
+
+        def plain(carry):
+            a, t = carry
+            return 0.9 * a + 0.01 * jnp.sin(a), t + 1e-2
+
+        carry = jax.lax.cond(carry[1] < self.sample[0], costly, plain, carry)
+        return carry, self.record(*carry)
+
+    def record(self, a, t):
+        estimate = aslo.Estimate(a[None], jnp.ones(()), jnp.asarray(False))
+        return aslo.Record(t, a, a[None], a, a, {"slow": estimate})
+
+
+class Total(AbstractMetric):
+    """Of the estimates."""
+
+    def init(self, record):
+        return jnp.zeros(())
+
+    def update(self, metric, record):
+        return metric + jnp.sum(record.estimates["slow"].value)
+
+    def result(self, metric):
+        return metric
+
+
+@pytest.mark.parametrize("make", [experiment, Duck], ids=["observer", "loop"])
+def test_experiments_switch_and_agree_with_scan(make):
+    """With their derivatives, whose bits do not depend on the neighbours either."""
+    rng = np.random.default_rng(1)
+    samples = rng.uniform(0.05, 0.3, 9), rng.uniform(0.5, 1.0, 9)
+    like = jax.tree.map(lambda x: x[0], samples)
+    keep = lambda record: record.estimates["slow"].value
+    fused, scan = (
+        Runner(make, like, 40, metrics={"m": Total()}, record=keep, every=10, engine=engine)
+        for engine in ("fused", "scan")
+    )
+    whole, _, plain = ends(fused._fused.program.loop)
+    assert plain < whole - 100
+
+    def run(runner, amplitude, until):
+        batch = runner((until, amplitude))
+        return batch.metrics, batch.record
+
+    def pushed(runner, until, amplitude):
+        one = functools.partial(run, runner, until=until)
+        return jax.jvp(one, (amplitude,), (jnp.ones_like(amplitude),))
+
+    until, amplitude = map(jnp.asarray, samples)
+    found, expected = (pushed(r, until, amplitude) for r in (fused, scan))
+    for ours, theirs in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
+    single = [pushed(fused, until[k : k + 1], amplitude[k : k + 1]) for k in (2, 5)]
+    for k, one in zip((2, 5), single, strict=True):
+        for ours, theirs in zip(*map(jax.tree.leaves, (found, one)), strict=True):
+            np.testing.assert_array_equal(np.asarray(ours)[k], np.asarray(theirs)[0])
+
+
+def test_a_replay_switches():
+    t = 1e-2 * np.arange(41)
+    u, y = jnp.sin(3.0 * t), jnp.cos(2.0 * t)
+    observer = Slow(jnp.asarray(0.13))
+    ours, theirs = (
+        aslo.replay(observer, t, u, y, engine=engine) for engine in ("fused", "scan")
+    )
+    np.testing.assert_allclose(ours.value, theirs.value, rtol=1e-10, atol=1e-13)
