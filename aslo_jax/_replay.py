@@ -1,5 +1,7 @@
 """Running an observer over a recorded log."""
 
+import importlib.util
+import warnings
 from typing import Any
 
 import equinox as eqx
@@ -10,6 +12,9 @@ from jaxtyping import Array, ArrayLike, PyTree
 
 from ._checks import is_concrete, real
 from .observers import AbstractObserver, ObserverState
+
+ENGINES = ("auto", "fused", "scan")
+Checked = tuple[Any, PyTree, PyTree, Any]  # the first instant (s), u, y, and intervals (s)
 
 
 def replay(
@@ -22,7 +27,7 @@ def replay(
     state: ObserverState | None = None,
     return_state: bool = False,
     max_gap: float | None = None,
-    engine: str = "scan",
+    engine: str = "auto",
 ) -> Any:
     """Run an observer over a log: arrays in, arrays out.
 
@@ -41,23 +46,26 @@ def replay(
     - `return_state`: return `(estimate, state)`;
     - `max_gap`: refuse a log with a longer interval (s);
     - `engine`: `"scan"` is one `jax.lax.scan`; `"fused"` compiles the loop to machine code
-      (the extra `study`), many times faster, without derivatives; `jax.vmap` runs many
-      logs beside each other in it.
+      (the extra `cli` or `study`), many times faster, without derivatives; `jax.vmap` runs
+      many logs beside each other in it. `"auto"` is `"fused"` where that extra is installed
+      and no argument is traced by a transformation of JAX, so that derivatives and
+      `jax.jit` are as with `"scan"`; an observer that cannot be compiled runs by `"scan"`,
+      with a warning that says why.
 
     Intervals equal to within rounding share their coefficients, computed once; otherwise
     each interval has its own. Compiled once for each structure of observer and log.
 
     **Returns:** an [`Estimate`][] whose leaves have a leading axis of length `N`.
-    Differentiable with `engine="scan"`; `jax.vmap` maps it over logs, initial states and
+    Differentiable unless `engine="fused"`; `jax.vmap` maps it over logs, initial states and
     parameters.
 
     **Raises:** `ValueError` (or, under `jax.jit`, an error from `eqx.error_if`) for
     shapes that differ, a sample that is not finite, time that does not increase, or a gap
     above `max_gap`; [`NotFusible`][] for an observer that the fused engine cannot compile.
     """
-    if engine not in ("scan", "fused"):
+    if engine not in ENGINES:
         raise ValueError(
-            f'Argument `engine` must be "scan" or "fused", but got {engine!r}.'
+            f'Argument `engine` must be "auto", "fused" or "scan", but got {engine!r}.'
         )
     u, y = jax.tree.map(real, (u, y))
     # Concrete instants keep the precision they came with until intervals are taken: JAX's
@@ -65,7 +73,7 @@ def replay(
     instants = np.asarray(t) if is_concrete(t) else jnp.asarray(t)
     _check_shapes(instants, u, y)
     instants = _check_time(instants, max_gap)
-    interval = _common_interval(instants)
+    interval = common_interval(instants)
     u, y = _check_finite("u", u), _check_finite("y", y)
     if interval is None:
         xp = np if is_concrete(instants) else jnp
@@ -73,15 +81,45 @@ def replay(
     else:
         intervals, common = None, real(interval)
     log = real(instants[0]), u, y, intervals
-    run = _run if engine == "scan" else _run_fused
-    estimate, final = run(observer, log, common, substeps, state)
+    estimate, final = run_log(observer, log, common, substeps, state, engine)
     return (estimate, final) if return_state else estimate
+
+
+def run_log(
+    observer: AbstractObserver,
+    log: Checked,
+    common: Any,
+    substeps: int,
+    state: ObserverState | None,
+    engine: str,
+) -> tuple[Any, ObserverState]:
+    """[`replay`][] of a `log` that has been checked: its first instant, u, y, and its
+    intervals (s) where they have no length in `common`."""
+    if engine == "auto" and not _may_fuse((observer, log, common, state)):
+        engine = "scan"
+    if engine == "scan":
+        return _run(observer, log, common, substeps, state)
+    from .engines.frontend.lower import NotFusible
+
+    try:
+        return _run_fused(observer, log, common, substeps, state)
+    except NotFusible as error:
+        if engine == "fused":
+            raise
+        warnings.warn(f'Running with engine="scan". {error}', stacklevel=3)
+        return _run(observer, log, common, substeps, state)
+
+
+def _may_fuse(arguments: PyTree) -> bool:
+    """Whether nothing is traced, and LLVM is there."""
+    concrete = is_concrete(*jax.tree.leaves(arguments))
+    return concrete and importlib.util.find_spec("llvmlite") is not None
 
 
 @eqx.filter_jit
 def _run(
     observer: AbstractObserver,
-    log: tuple[Array, PyTree, PyTree, Array | None],
+    log: Checked,
     common: Array | None,
     substeps: int,
     state: ObserverState | None,
@@ -107,28 +145,35 @@ def _run(
 
 def _run_fused(
     observer: AbstractObserver,
-    log: tuple[Array, PyTree, PyTree, Array | None],
-    common: Array | None,
+    log: Checked,
+    common: Any,
     substeps: int,
     state: ObserverState | None,
 ) -> tuple[Any, ObserverState]:
     from .engines.fused.replay import replay_fused  # which needs an extra
 
     t0, u, y, intervals = log
-    state, first = _begun(observer, t0, u, y, state)
+    # NumPy cuts and joins what can be read; XLA would compile a program for each.
+    read = is_concrete(*jax.tree.leaves((observer, log, common, state)))
+    xp = np if read else jnp
+    u, y = jax.tree.map(xp.asarray, (u, y))
+    state, first = _begun(observer, t0, *jax.tree.map(lambda s: s[0], (u, y)), state)
     held, sampled = jax.tree.map(lambda s: s[:-1], u), jax.tree.map(lambda s: s[1:], y)
     lengths = common if intervals is None else intervals
     assert lengths is not None and state is not None
     rest, final = replay_fused(observer, state, held, sampled, lengths, substeps)
-    estimate = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest)
-    return estimate, final
+
+    def joined(a: Any, b: Any) -> Any:
+        return xp.concatenate([xp.asarray(a)[None], xp.asarray(b)])
+
+    estimate = jax.tree.map(joined, first, rest)
+    return (jax.device_put(estimate) if read else estimate), final
 
 
 @eqx.filter_jit
 def _begun(observer, t0, u, y, state):
-    u0, y0 = jax.tree.map(lambda s: s[0], (u, y))
-    state = observer.init(y0, u0) if state is None else state
-    return state, observer.estimate(t0, state, u0, y0)
+    state = observer.init(y, u) if state is None else state
+    return state, observer.estimate(t0, state, u, y)
 
 
 def _check_shapes(t: Array | np.ndarray, u: PyTree, y: PyTree) -> None:
@@ -146,7 +191,7 @@ def _check_shapes(t: Array | np.ndarray, u: PyTree, y: PyTree) -> None:
                 )
 
 
-def _common_interval(t: Any) -> float | None:
+def common_interval(t: Any) -> float | None:
     """The interval of evenly spaced instants, or `None` where they are uneven or traced."""
     if not is_concrete(t):
         return None
