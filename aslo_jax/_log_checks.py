@@ -56,7 +56,8 @@ def check_time(
     label: str,
     where: Where,
     max_gap: float | None,
-) -> None:
+) -> float:
+    """The median interval (s), after a look at all of them."""
     gaps = np.diff(t)
     if not (gaps > 0).all():
         row = int(np.argmin(gaps > 0)) + 1
@@ -75,3 +76,4 @@ def check_time(
             f"before {t[row]:.12g} s, above the limit of {limit:.6g} s ({by_default}); "
             "split the log there or raise the limit, --max-gap (in Python, `max_gap=`)."
         )
+    return median

@@ -23,7 +23,8 @@ Where = Callable[[int], str]
 
 
 BATCH = 65_536  # rows of a batch of a Parquet file
-BLOCK = 1 << 23  # bytes of a CSV file that are parsed at a time
+BUFFER = 1 << 20  # bytes that are read of its columns at a time
+BLOCK = 1 << 22  # bytes of a CSV file that are parsed at a time
 
 
 class LogError(ValueError):
@@ -209,13 +210,15 @@ def read_parquet(path: Path, select: Select) -> Source:
 def _batches_of_parquet(path: Path, chosen: dict[str, str]) -> Iterator[Columns]:
     parquet = require("pyarrow.parquet", "cli")
     first, rows = 0, _Rows(path)
-    with _readable(path), parquet.ParquetFile(path) as file:
-        for batch in file.iter_batches(BATCH, columns=list(chosen.values())):
-            yield {
-                name: _from_arrow(rows, actual, batch.column(actual), first)
-                for name, actual in chosen.items()
-            }
-            first += batch.num_rows
+    # One iterator for each group of rows, since it holds what it has read until its end.
+    with _readable(path), parquet.ParquetFile(path, buffer_size=BUFFER) as file:
+        for group in range(file.num_row_groups):
+            for batch in file.iter_batches(BATCH, [group], list(chosen.values())):
+                yield {
+                    name: _from_arrow(rows, actual, batch.column(actual), first)
+                    for name, actual in chosen.items()
+                }
+                first += batch.num_rows
     if not first:
         yield {name: np.zeros(0) for name in chosen}
 

@@ -14,6 +14,7 @@ from ._checks import is_concrete, real
 from .observers import AbstractObserver, ObserverState
 
 ENGINES = ("auto", "fused", "scan")
+PIECE = 1 << 20  # instants looked at at once
 Checked = tuple[Any, PyTree, PyTree, Any]  # the first instant (s), u, y, and intervals (s)
 
 
@@ -27,7 +28,7 @@ def replay(
     state: ObserverState | None = None,
     return_state: bool = False,
     max_gap: float | None = None,
-    engine: str = "auto",
+    engine: str = "scan",
 ) -> Any:
     """Run an observer over a log: arrays in, arrays out.
 
@@ -157,11 +158,13 @@ def _run_fused(
     read = is_concrete(*jax.tree.leaves((observer, log, common, state)))
     xp = np if read else jnp
     u, y = jax.tree.map(xp.asarray, (u, y))
-    state, first = _begun(observer, t0, *jax.tree.map(lambda s: s[0], (u, y)), state)
+    u0, y0 = jax.tree.map(lambda s: s[0], (u, y))
+    interval = None if common is None else common / substeps
+    state, first, coefficients = _begun(observer, t0, u0, y0, state, interval)
     held, sampled = jax.tree.map(lambda s: s[:-1], u), jax.tree.map(lambda s: s[1:], y)
-    lengths = common if intervals is None else intervals
-    assert lengths is not None and state is not None
-    rest, final = replay_fused(observer, state, held, sampled, lengths, substeps)
+    rest, final = replay_fused(
+        observer, state, held, sampled, intervals, coefficients, substeps
+    )
 
     def joined(a: Any, b: Any) -> Any:
         return xp.concatenate([xp.asarray(a)[None], xp.asarray(b)])
@@ -171,9 +174,11 @@ def _run_fused(
 
 
 @eqx.filter_jit
-def _begun(observer, t0, u, y, state):
+def _begun(observer, t0, u, y, state, interval):
+    """The state to begin with, its estimate, and the coefficients for an `interval` (s)."""
     state = observer.init(y, u) if state is None else state
-    return state, observer.estimate(t0, state, u, y)
+    laws = None if interval is None else observer.allocate(y, u).discretise(interval)
+    return state, observer.estimate(t0, state, u, y), laws
 
 
 def _check_shapes(t: Array | np.ndarray, u: PyTree, y: PyTree) -> None:
@@ -195,10 +200,15 @@ def common_interval(t: Any) -> float | None:
     """The interval of evenly spaced instants, or `None` where they are uneven or traced."""
     if not is_concrete(t):
         return None
-    even = np.linspace(t[0], t[-1], t.size, dtype=t.dtype)
-    rounding = 4 * np.finfo(t.dtype).eps * np.abs(t).max() if t.dtype.kind == "f" else 0
+    largest = max(abs(t[0]), abs(t[-1]))  # it increases
+    rounding = 4 * np.finfo(t.dtype).eps * largest if t.dtype.kind == "f" else 0
     interval = float(t[-1] - t[0]) / (t.size - 1)
-    return interval if interval > 0 and np.abs(t - even).max() <= rounding else None
+    for first in range(0, t.size, PIECE):  # a long log is not held several times
+        piece = t[first : first + PIECE]
+        even = t[0] + interval * np.arange(first, first + piece.size)
+        if not np.abs(piece - even.astype(t.dtype)).max() <= rounding:
+            return None
+    return interval if interval > 0 else None
 
 
 def _check_time(t: Any, max_gap: float | None) -> Any:

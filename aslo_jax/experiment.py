@@ -9,11 +9,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
 from ._checks import divides, positive, real
+from ._runge_kutta import runge_kutta
 from .control import AbstractController
 from .disturbances import AbstractDisturbance, DisturbanceState, check_streams
 from .observers import AbstractObserver, ObserverState
 from .plants import AbstractPlant
-from .solvers import runge_kutta
 
 
 class Record(eqx.Module):

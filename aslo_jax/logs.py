@@ -82,7 +82,7 @@ class LogReader:
     """A log that is read, checked and given piece by piece, so that it need not fit into
     memory. Arguments and refusals are those of [`read_log`][].
 
-    - `t`: every sampling instant (s), shape `(N,)`;
+    - `t`: every sampling instant (s), shape `(N,)`; `interval`: the median one (s);
     - `optional`: whether the file has the optional inputs;
     - `truth`: the truth columns that it has.
 
@@ -90,6 +90,7 @@ class LogReader:
     """
 
     t: Float[np.ndarray, " N"]
+    interval: float
     optional: bool
     truth: tuple[str, ...]
 
@@ -151,8 +152,10 @@ class LogReader:
             else:
                 self._kept = None
         t = np.concatenate(instants)
+        instants.clear()
         check_rows(self.path, t.size)
-        check_time(self.path, t, source.chosen["t"], source.where, max_gap)
+        label = source.chosen["t"]
+        self.interval = check_time(self.path, t, label, source.where, max_gap)
         return t
 
     def pieces(self, rows: int) -> Iterator[Log]:

@@ -42,7 +42,7 @@ class Summary:
     ):
         self.reader, self.machine = reader, machine
         self.rates, self.substeps = rates, substeps
-        self.interval = float(np.median(np.diff(reader.t)))
+        self.interval = reader.interval
         self.coasting = dict.fromkeys(machine.suffixes(), 0)
         self.settled: dict[str, float] = {}  # from when on (s), by suffix
         self.scored = False

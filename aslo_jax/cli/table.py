@@ -86,7 +86,7 @@ class Estimator:
         first: int | None = None,
     ):
         self.machine, self.starts = machine, dict[str, int]()
-        interval = common_interval(t - t[0])
+        interval = common_interval(t)
         self.observed = Replayed(machine.state_observer(rates), interval, substeps)
         self._tracked = [q for q in machine.quantities if q.tracks is not None]
         bandwidth = rates["pll_bandwidth"].value if self._tracked else 0.0
