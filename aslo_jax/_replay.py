@@ -162,6 +162,7 @@ def _run_fused(
     interval = None if common is None else common / substeps
     state, first, coefficients = _begun(observer, t0, u0, y0, state, interval)
     held, sampled = jax.tree.map(lambda s: s[:-1], u), jax.tree.map(lambda s: s[1:], y)
+    assert state is not None
     rest, final = replay_fused(
         observer, state, held, sampled, intervals, coefficients, substeps
     )

@@ -4,11 +4,12 @@
 import functools
 import sys
 
-from . import import_time, peers, pmsm, replay, reversal, systems, tuning
+from . import felt, import_time, peers, pmsm, replay, reversal, systems, tuning
 
 FLAGS = {"--quick", "--install"}
 quick = "--quick" in sys.argv
 BENCHMARKS = {
+    "felt": felt.main,
     "import_time": import_time.main,
     "replay": replay.main,
     "reversal": reversal.main,

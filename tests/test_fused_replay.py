@@ -75,7 +75,7 @@ def test_many_logs_and_observers_beside_each_other():
 
 def test_what_does_not_fit_is_refused():
     u, y = log(T)
-    with pytest.raises(ValueError, match='`engine` must be "scan" or "fused"'):
+    with pytest.raises(ValueError, match='`engine` must be "auto", "fused" or "scan"'):
         aslo.replay(observer(), T, u, y, engine="warp")
 
     class Sorted(aslo.AbstractObserver):

@@ -110,10 +110,11 @@ def _draw_closeups(
     for axis, when in ((start, "start"), (end, "end")):
         shown = trace.end(view, window, summary, last=when == "end")
         _draw(axis, quantity, shown, limits)
+        if when == "start":
+            _shade(axis, shown, quantity.suffix)
         axis.set(
             xlabel="time (s)", title=f"{quantity.name.capitalize()}, {when} of the log"
         )
-    _shade(start, view, quantity.suffix)
     end.legend(loc="upper right", ncols=3)
 
 
