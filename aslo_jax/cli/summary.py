@@ -77,7 +77,7 @@ class Summary:
         elif len(quantity.columns) > 1:
             kept.append(relative_error(quantity, piece)[rows])
         else:
-            name = quantity.columns[0]
+            name = next(iter(quantity.columns))
             for sums, x in (
                 (self.errors, piece.columns[f"error_{name}"][rows]),
                 (self.sizes, piece.truth[name][rows]),
