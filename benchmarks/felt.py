@@ -24,7 +24,7 @@ DATA = Path(str(files("aslo_jax") / "data"))
 MACHINE = str(DATA / "motor.toml")
 HELP = 0.4  # s above `import typer`
 LOGS = {10**6: (RUNS, 5.5), 10**7: (1, None)}  # rows: runs, seconds
-MEMORY = 1000.0  # MB
+MEMORY, PIECE = 1000.0, 10**5  # MB, rows
 REPORT, SAMPLES = 3.0, 256  # s
 
 # In which part of a process its time goes: XLA tells of every program that it compiles, the
@@ -103,11 +103,11 @@ def shares(command: list[str]) -> dict[str, float]:
     return dict(zip(("import", "compile", "run"), map(float, line.split()), strict=True))
 
 
-def motor_log(rows: int) -> dict[str, np.ndarray]:
-    """A motor at a speed that varies, with its truth: steady currents in the rotor's frame,
-    voltages whose means are Simpson's."""
+def motor_log(first: int, rows: int) -> dict[str, np.ndarray]:
+    """Rows from the `first` on of a motor at a speed that varies, with its truth: steady
+    currents in the rotor's frame, voltages whose means are Simpson's."""
     R, L, m, current, h = 8.875, 40.03e-3, 0.2086, 1.5, 2e-4
-    t = h * np.arange(rows)
+    t = h * np.arange(first, first + rows)
     turned = lambda t: 270.0 * t - 40.0 / 0.7 * np.cos(0.7 * t)
     circle = lambda a: np.stack([np.cos(a), np.sin(a)])
     i = lambda t: current * circle(turned(t) + 0.5 * np.pi)
@@ -152,7 +152,7 @@ def main() -> list[str]:
 
 
 def _logs(folder: Path, row: Callable[..., None], failures: list[str]) -> None:
-    from aslo_jax.logs import write_table
+    from aslo_jax.logs import TableWriter
 
     log = DATA / "pmsm_log.csv"
     command = _estimate(log, folder)
@@ -160,10 +160,12 @@ def _logs(folder: Path, row: Callable[..., None], failures: list[str]) -> None:
     row("estimate, 8,000 rows", median([*COMMAND, *command]), 3.0, shares=parts)
     print("    " + ", ".join(f"{name} {s:.2f} s" for name, s in parts.items()))
     for rows, (runs, bound) in LOGS.items():
-        columns = motor_log(rows)
         for suffix in (".csv", ".parquet"):
             path = folder / f"log{suffix}"
-            write_table(path, columns)
+            # In pieces: a process starts with the memory of the one that starts it.
+            with TableWriter(path) as writer:
+                for first in range(0, rows, PIECE):
+                    writer.write(motor_log(first, PIECE))
             found = median([*COMMAND, *_estimate(path, folder)], runs)
             name = f"estimate, {rows:.0e} rows, {suffix[1:]}"
             row(name, found, bound)
@@ -175,26 +177,14 @@ def _logs(folder: Path, row: Callable[..., None], failures: list[str]) -> None:
 
 
 def _report(folder: Path, row: Callable[..., None]) -> None:
-    """With the imports that the report needs and the study does not."""
-    out = str(folder / "study")
-    study = ["study", "pmsm", "--samples", str(SAMPLES), "--out", out, "--no-report", "-q"]
-    measured([*COMMAND, *study])
-    opened = (
-        "from aslo_jax.study import open_study; import time; begun = time.process_time();"
-        f"study = open_study({out + '/study.zarr'!r});"
-    )
-    write = f"from aslo_jax.study import write_report; write_report(study, {out!r});"
-    found = []
-    for _ in range(RUNS):
-        done = subprocess.run(
-            [sys.executable, "-c", f"{opened}{write}print(time.process_time() - begun)"],
-            check=True,
-            capture_output=True,
-            text=True,
-        )
-        found.append(float(done.stdout.split()[-1]))
-    row(
-        f"report of {SAMPLES} samples",
-        {"cpu": statistics.median(found), "memory": float("nan")},
-        REPORT,
-    )
+    """What a study takes longer for its report."""
+    study = ["study", "pmsm", "--samples", str(SAMPLES), "-q", "--out"]
+    found: dict[str, list[float]] = {"--report": [], "--no-report": []}
+    for k in range(3):
+        for option, spent in found.items():
+            command = [*COMMAND, *study, str(folder / f"{option}{k}"), option]
+            spent.append(measured(command)[0])
+    whole, alone = (statistics.median(spent) for spent in found.values())
+    parts = {"study": alone}
+    found_here = {"cpu": whole - alone, "memory": 0.0}
+    row(f"report of {SAMPLES} samples", found_here, REPORT, shares=parts)
