@@ -1,4 +1,4 @@
-"""Columns from CSV, Parquet and NPZ files, and the place of a row in them.
+"""Columns from CSV, Parquet and NPZ files, batch by batch, and the place of a row in them.
 
 pyarrow reads a CSV; where it refuses, a second, slow look with the standard library finds
 the line and the column to name.
@@ -7,6 +7,7 @@ the line and the column to name.
 import csv
 import dataclasses
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,11 @@ from ._extras import require
 Columns = dict[str, Float[np.ndarray, " N"]]
 Select = Callable[[list[str]], dict[str, str]]
 Where = Callable[[int], str]
+
+
+BATCH = 65_536  # rows of a batch of a Parquet file
+BUFFER = 1 << 20  # bytes that are read of its columns at a time
+BLOCK = 1 << 22  # bytes of a CSV file that are parsed at a time
 
 
 class LogError(ValueError):
@@ -54,20 +60,42 @@ class _Layout:
         return f"line {line}"
 
 
-def read_csv(path: Path, select: Select) -> tuple[Columns, Where]:
-    """The selected columns as float64, by our names, and the place of a row."""
-    pyarrow, reader = require("pyarrow", "cli"), require("pyarrow.csv", "cli")
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """The selected columns of a file.
+
+    - `chosen`: what the file calls them, by our names;
+    - `batches()`: them as float64 by our names, from the first row on, at every call;
+    - `where(row)`: the place of a row in the file, in words.
+    """
+
+    chosen: dict[str, str]
+    batches: Callable[[], Iterator[Columns]]
+    where: Where
+
+
+def read_csv(path: Path, select: Select) -> Source:
+    require("pyarrow.csv", "cli")
     layout = _layout(path)
     chosen = select(layout.names)
+    return Source(chosen, lambda: _batches_of_csv(layout, chosen), layout.where)
+
+
+def _batches_of_csv(layout: _Layout, chosen: dict[str, str]) -> Iterator[Columns]:
+    pyarrow, reader = require("pyarrow", "cli"), require("pyarrow.csv", "cli")
+    if next(layout.rows(), None) is None:
+        yield {name: np.zeros(0) for name in chosen}
+        return
     # Columns go by their position, since names that are not read may be repeated.
     position = {name: str(layout.names.index(actual)) for name, actual in chosen.items()}
-    wanted = list(position.values())
+    wanted, first = list(position.values()), 0
     try:
-        table = reader.read_csv(
-            path,
+        with reader.open_csv(
+            layout.path,
             reader.ReadOptions(
                 column_names=[str(k) for k in range(len(layout.names))],
                 skip_rows=layout.line,
+                block_size=BLOCK,
             ),
             reader.ParseOptions(delimiter=layout.delimiter),
             reader.ConvertOptions(
@@ -76,14 +104,15 @@ def read_csv(path: Path, select: Select) -> tuple[Columns, Where]:
                 null_values=[""],
                 decimal_point=layout.decimal_point,
             ),
-        )
+        ) as file:
+            for batch in file:
+                yield {
+                    name: _from_arrow(layout, chosen[name], batch.column(k), first)
+                    for name, k in position.items()
+                }
+                first += batch.num_rows
     except pyarrow.ArrowException as error:
         raise _diagnosis(layout, list(chosen.values()), str(error)) from None
-    data = {
-        name: _from_arrow(path, chosen[name], table.column(k), layout.where)
-        for name, k in position.items()
-    }
-    return data, layout.where
 
 
 def _layout(path: Path) -> _Layout:
@@ -137,28 +166,37 @@ def _row(index: int) -> str:
     return f"row {index} (counted from 0)"
 
 
-def _from_arrow(path: Path, label: str, column: Any, where: Where) -> np.ndarray:
-    """A column of a pyarrow table as float64; a blank is refused."""
+@dataclasses.dataclass(frozen=True)
+class _Rows:
+    """A file whose rows have no lines."""
+
+    path: Path
+
+    def where(self, row: int) -> str:
+        return _row(row)
+
+
+def _from_arrow(
+    file: _Layout | _Rows, label: str, column: Any, first: int
+) -> Float[np.ndarray, " N"]:
+    """A column of a batch that begins in row `first`, as float64; a blank is refused."""
     if column.null_count:
-        row = column.is_null().to_numpy().argmax()
+        row = first + int(column.is_null().to_numpy(zero_copy_only=False).argmax())
         raise LogError(
-            f"{path}, {where(int(row))}, column `{label}`: the value is blank; remove or "
-            "repair that row."
+            f"{file.path}, {file.where(row)}, column `{label}`: the value is blank; remove "
+            "or repair that row."
         )
-    return column.cast("float64", safe=False).to_numpy()
+    return column.cast("float64", safe=False).to_numpy(zero_copy_only=False)
 
 
-def read_parquet(path: Path, select: Select) -> tuple[Columns, Where]:
+def read_parquet(path: Path, select: Select) -> Source:
     pyarrow, parquet = require("pyarrow", "cli"), require("pyarrow.parquet", "cli")
     types = pyarrow.types
-    try:
-        with parquet.ParquetFile(path) as file:
-            chosen = select(file.schema_arrow.names)
-            table = file.read(columns=list(chosen.values()))
-    except pyarrow.ArrowException as error:
-        raise LogError(f"{path} is not a readable Parquet file: {error}") from error
+    with _readable(path), parquet.ParquetFile(path) as file:
+        schema = file.schema_arrow
+    chosen = select(schema.names)
     for actual in chosen.values():
-        kind = table.schema.field(actual).type
+        kind = schema.field(actual).type
         if not (
             types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)
         ):
@@ -166,11 +204,35 @@ def read_parquet(path: Path, select: Select) -> tuple[Columns, Where]:
                 f"{path}, column `{actual}` holds {kind}, but it must hold numbers in SI "
                 "units (t in seconds); convert it."
             )
-    data = {k: _from_arrow(path, v, table.column(v), _row) for k, v in chosen.items()}
-    return data, _row
+    return Source(chosen, lambda: _batches_of_parquet(path, chosen), _row)
 
 
-def read_npz(path: Path, select: Select) -> tuple[Columns, Where]:
+def _batches_of_parquet(path: Path, chosen: dict[str, str]) -> Iterator[Columns]:
+    parquet = require("pyarrow.parquet", "cli")
+    first, rows = 0, _Rows(path)
+    # One iterator for each group of rows, since it holds what it has read until its end.
+    with _readable(path), parquet.ParquetFile(path, buffer_size=BUFFER) as file:
+        for group in range(file.num_row_groups):
+            for batch in file.iter_batches(BATCH, [group], list(chosen.values())):
+                yield {
+                    name: _from_arrow(rows, actual, batch.column(actual), first)
+                    for name, actual in chosen.items()
+                }
+                first += batch.num_rows
+    if not first:
+        yield {name: np.zeros(0) for name in chosen}
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except require("pyarrow", "cli").ArrowException as error:
+        raise LogError(f"{path} is not a readable Parquet file: {error}") from error
+
+
+def read_npz(path: Path, select: Select) -> Source:
+    """A file of which every column is read at once."""
     data = {}
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -199,7 +261,7 @@ def read_npz(path: Path, select: Select) -> tuple[Columns, Where]:
                 "numbers; convert it."
             )
         data[name] = array.astype(float)
-    return data, _row
+    return Source(chosen, lambda: iter([data]), _row)
 
 
 READERS = {".csv": read_csv, ".parquet": read_parquet, ".npz": read_npz}

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
 from ._checks import divides, kind, positive, real
+from ._runge_kutta import runge_kutta
 from .control import AbstractController
 from .control.base import controlled
 from .disturbances import AbstractDisturbance, DisturbanceState, check_streams
 from .observers import AbstractObserver, ObserverState
 from .observers.base import check_observers
 from .plants import AbstractPlant
-from .solvers import runge_kutta
 
 
 class Record(eqx.Module):

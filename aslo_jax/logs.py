@@ -6,18 +6,21 @@ ones is a value, [`Signals`][]. `y[k]` is sampled at `t[k]`; `u[k]` is the mean 
 """
 
 import dataclasses
-import difflib
-from collections.abc import Iterable, Mapping
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from ._extras import require
-from ._log_files import READERS, Columns, LogError as LogError, Where
+from ._log_checks import check_columns, check_finite, check_rows, check_time
+from ._log_columns import checked_mapping, select
+from ._log_files import READERS, Columns, LogError as LogError
 
 SUFFIXES = tuple(READERS)
-GAP_IN_MEDIANS = 10.0  # the default of `max_gap`, in median intervals
+KEPT = 1 << 27  # bytes of a log that are kept from the first reading for the second
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,6 +78,112 @@ class Log:
     truth: Columns
 
 
+class LogReader:
+    """A log that is read, checked and given piece by piece, so that it need not fit into
+    memory. Arguments and refusals are those of [`read_log`][].
+
+    - `t`: every sampling instant (s), shape `(N,)`; `interval`: the median one (s);
+    - `optional`: whether the file has the optional inputs;
+    - `truth`: the truth columns that it has.
+
+    `watch(log)` is told every batch of the first reading, before time has been checked.
+    """
+
+    t: Float[np.ndarray, " N"]
+    interval: float
+    optional: bool
+    truth: tuple[str, ...]
+
+    def __init__(
+        self,
+        path: Path | str,
+        signals: Signals = MOTOR,
+        *,
+        columns: Mapping[str, str] | None = None,
+        truth: bool = True,
+        max_gap: float | None = None,
+        watch: Callable[[Log], object] = lambda log: None,
+    ):
+        path = Path(path)
+        if max_gap is not None and not max_gap > 0:
+            raise LogError(
+                "Argument `max_gap` (option --max-gap) must be positive (s), but got "
+                f"{max_gap}."
+            )
+        mapped = checked_mapping(columns or {}, signals)
+        if not truth:
+            signals = dataclasses.replace(signals, truth=())
+        names = {name: mapped.get(name, name) for name in signals.names}
+        if not path.exists():
+            raise FileNotFoundError(f"{path} does not exist.")
+        if path.is_dir():
+            raise LogError(f"{path} is a directory, but a log is a file.")
+        self.path, self.signals = path, signals
+        read = READERS[check_suffix(path).suffix.lower()]
+        self._source = read(
+            path, lambda available: select(path, signals, names, mapped, available)
+        )
+        chosen = self._source.chosen
+        self.optional = any(name in chosen for name in signals.optional)
+        self.truth = tuple(name for name in signals.truth if name in chosen)
+        self._kept: list[Columns] | None = []
+        self.t = self._checked(watch, max_gap)
+
+    def _checked(
+        self, watch: Callable[[Log], object], max_gap: float | None
+    ) -> Float[np.ndarray, " N"]:
+        """Every instant, after a look at every value. A log that is not long is kept."""
+        source, instants, size = self._source, [], 0
+        for data in source.batches():
+            rows = sum(map(len, instants))
+            check_columns(self.path, data, source.chosen)
+            check_finite(
+                self.path,
+                data,
+                source.chosen,
+                lambda row, first=rows: source.where(first + row),
+                self.truth,
+            )
+            instants.append(np.array(data["t"]))
+            watch(self._log(data))
+            size += sum(column.nbytes for column in data.values())
+            if self._kept is not None and size <= KEPT:
+                self._kept.append(data)
+            else:
+                self._kept = None
+        t = np.concatenate(instants)
+        instants.clear()
+        check_rows(self.path, t.size)
+        label = source.chosen["t"]
+        self.interval = check_time(self.path, t, label, source.where, max_gap)
+        return t
+
+    def pieces(self, rows: int) -> Iterator[Log]:
+        """The log in pieces of at most `rows` intervals, each of which begins with the last
+        row of the one before; their lengths differ by at most one."""
+        intervals = self.t.size - 1
+        edges = np.linspace(0, intervals, -(-intervals // rows) + 1).astype(int)
+        batches = iter(self._source.batches() if self._kept is None else self._kept)
+        held, first = next(batches), 0  # the rows from `first` on
+        for begin, end in itertools.pairwise(edges):
+            parts = [{k: x[begin - first :] for k, x in held.items()}]
+            first, have = begin, parts[0]["t"].size
+            while first + have <= end:
+                parts.append(next(batches))
+                have += parts[-1]["t"].size
+            held = {k: np.concatenate([p[k] for p in parts]) for k in held}
+            yield self._log({k: x[: end + 1 - begin] for k, x in held.items()})
+
+    def _log(self, data: Columns) -> Log:
+        optional = self.signals.optional if self.optional else ()
+        return Log(
+            t=data["t"],
+            u=_stacked(data, [*self.signals.inputs, *optional]),
+            y=_stacked(data, self.signals.outputs),
+            truth={name: data[name] for name in self.truth},
+        )
+
+
 def read_log(
     path: Path | str,
     signals: Signals = MOTOR,
@@ -97,36 +206,9 @@ def read_log(
     that repeats or runs backwards, for a gap above `max_gap`, for a column that is missing,
     ambiguous or of the wrong shape. `OSError` where the file cannot be opened.
     """
-    path = Path(path)
-    if max_gap is not None and not max_gap > 0:
-        raise LogError(
-            "Argument `max_gap` (option --max-gap) must be positive (s), but got "
-            f"{max_gap}."
-        )
-    mapped = _checked_mapping(columns or {}, signals)
-    if not truth:
-        signals = dataclasses.replace(signals, truth=())
-    names = {name: mapped.get(name, name) for name in signals.names}
-
-    def select(available: list[str]) -> dict[str, str]:
-        return _select(path, signals, names, mapped, available)
-
-    if not path.exists():
-        raise FileNotFoundError(f"{path} does not exist.")
-    if path.is_dir():
-        raise LogError(f"{path} is a directory, but a log is a file.")
-    data, where = READERS[check_suffix(path).suffix.lower()](path, select)
-    labels = {name: names[name] for name in data}
-    _check_lengths(path, data, labels)
-    _check_finite(path, data, labels, where, signals.truth)
-    _check_time(path, data["t"], labels["t"], where, max_gap)
-    inputs = [*signals.inputs, *(name for name in signals.optional if name in data)]
-    return Log(
-        t=data["t"],
-        u=_stacked(data, inputs),
-        y=_stacked(data, signals.outputs),
-        truth={name: data[name] for name in signals.truth if name in data},
-    )
+    reader = LogReader(path, signals, columns=columns, truth=truth, max_gap=max_gap)
+    (log,) = reader.pieces(reader.t.size)
+    return log
 
 
 def _stacked(data: Columns, names: Iterable[str]) -> Float[np.ndarray, "N n"]:
@@ -134,24 +216,63 @@ def _stacked(data: Columns, names: Iterable[str]) -> Float[np.ndarray, "N n"]:
     return np.stack(columns, axis=1) if columns else np.zeros((data["t"].size, 0))
 
 
+class TableWriter:
+    """A table that is written piece by piece, in the format of the suffix of its `path`;
+    every piece has the same columns. A context that is left writes the end.
+
+    Every digit of a float64 is kept, in CSV too. An .npz file is written at the end, from
+    memory."""
+
+    def __init__(self, path: Path | str):
+        self.path = check_suffix(path)
+        self._suffix = self.path.suffix.lower()
+        self._pieces: list[dict[str, np.ndarray]] = []
+        self._file: Any = None
+        if self._suffix != ".npz":
+            require("pyarrow.csv" if self._suffix == ".csv" else "pyarrow.parquet", "cli")
+
+    def write(self, columns: Mapping[str, np.ndarray]) -> None:
+        """Append `columns`, each of shape `(N,)`."""
+        if self._suffix == ".npz":
+            self._pieces.append(dict(columns))
+            return
+        table = require("pyarrow", "cli").table(dict(columns))
+        if self._suffix == ".csv":
+            csv = require("pyarrow.csv", "cli")
+            if self._file is None:
+                self._file = self.path.open("wb")
+                self._file.write((",".join(columns) + "\n").encode())
+            csv.write_csv(table, self._file, csv.WriteOptions(include_header=False))
+            return
+        if self._file is None:
+            writer = require("pyarrow.parquet", "cli").ParquetWriter
+            # Samples hardly ever repeat: a dictionary of them costs time and saves nothing.
+            self._file = writer(self.path, table.schema, use_dictionary=False)
+        self._file.write_table(table)
+
+    def __enter__(self) -> "TableWriter":
+        return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        if self._file is not None:
+            self._file.close()
+        if self._suffix == ".npz" and kind is None:
+            names = self._pieces[0] if self._pieces else {}
+            one = len(self._pieces) == 1
+            whole = {
+                k: names[k] if one else np.concatenate([p[k] for p in self._pieces])
+                for k in names
+            }
+            with self.path.open("wb") as file:
+                np.savez(file, **whole)  # pyright: ignore[reportArgumentType]
+
+
 def write_table(path: Path | str, columns: Mapping[str, np.ndarray]) -> None:
     """Write `columns`, each of shape `(N,)`, in the format of the suffix of `path`.
 
     Every digit of a float64 is kept, in CSV too."""
-    path = check_suffix(path)
-    if path.suffix.lower() == ".npz":
-        with path.open("wb") as file:
-            np.savez(file, **columns)  # pyright: ignore[reportArgumentType]
-        return
-    table = require("pyarrow", "cli").table(dict(columns))
-    if path.suffix.lower() == ".csv":
-        csv = require("pyarrow.csv", "cli")
-        header = (",".join(columns) + "\n").encode()
-        with path.open("wb") as file:
-            file.write(header)
-            csv.write_csv(table, file, csv.WriteOptions(include_header=False))
-    else:
-        require("pyarrow.parquet", "cli").write_table(table, path)
+    with TableWriter(path) as writer:
+        writer.write(columns)
 
 
 def check_suffix(path: Path | str) -> Path:
@@ -163,174 +284,3 @@ def check_suffix(path: Path | str) -> Path:
             f"{', '.join(SUFFIXES)}."
         )
     return path
-
-
-def _checked_mapping(columns: Mapping[str, str], signals: Signals) -> dict[str, str]:
-    for name in columns:
-        if name not in signals.names:
-            close = _closest(name, signals.names)
-            hint = f"; did you mean `{close[0]}`?" if close else ""
-            raise LogError(
-                f"Argument `columns` (option --column) must name one of "
-                f"{', '.join(signals.names)}, but got `{name}`{hint}"
-            )
-    return dict(columns)
-
-
-def _select(
-    path: Path,
-    signals: Signals,
-    names: Mapping[str, str],
-    mapped: Mapping[str, str],
-    available: list[str],
-) -> dict[str, str]:
-    """The columns to read, by our names: those required, and of the others those there."""
-    chosen = {}
-    lacking = []
-    some = any(names[name] in available for name in signals.optional)
-    for name, actual in names.items():
-        count = available.count(actual)
-        if count > 1:
-            places = [str(k + 1) for k, other in enumerate(available) if other == actual]
-            raise LogError(
-                f"{path} has {count} columns called `{actual}` (columns "
-                f"{', '.join(places)}); rename all but one."
-            )
-        needed = name in signals.required or name in mapped
-        if count == 1:
-            chosen[name] = actual
-        elif needed or (some and name in signals.optional):
-            lacking.append(name)
-    if lacking:
-        _refuse_missing(path, lacking, signals, names, mapped, available)
-    sources = list(chosen.values())
-    for name, actual in chosen.items():
-        if sources.count(actual) > 1:
-            both = " and ".join(f"`{k}`" for k, v in chosen.items() if v == actual)
-            name = next(k for k in mapped if chosen.get(k) == actual)
-            raise LogError(
-                f"Column `{actual}` of {path} is read as {both}, where it can be only one; "
-                f"map `{name}` to another column."
-            )
-    return chosen
-
-
-def _refuse_missing(
-    path: Path,
-    lacking: list[str],
-    signals: Signals,
-    names: Mapping[str, str],
-    mapped: Mapping[str, str],
-    available: list[str],
-) -> None:
-    if available and all(_is_number(name) for name in available):
-        raise LogError(
-            f"The first line of {path} holds numbers, but it must name the columns; add a "
-            f"header line such as {','.join(signals.required)}."
-        )
-    free = [name for name in available if name not in names.values()]
-    hints = []
-    for name in lacking:
-        # What the user called it says more than what we do.
-        close = [*_closest(names[name], free), *_closest(name, free)]
-        if close and name in mapped:
-            others = ", ".join(f"`{other}`" for other in dict.fromkeys(close))
-            hints.append(f"--column {name}={close[0]} (close to it: {others})")
-        elif close:
-            free.remove(close[0])
-            hints.append(f"--column {name}={close[0]}")
-    columns = ", ".join(f"`{names[name]}`" for name in lacking)
-    plural = "s" if len(lacking) > 1 else ""
-    if hints:
-        remedy = f"perhaps it goes by another name: {' '.join(hints)}"
-    else:
-        remedy = f"if it goes by another name, map it: --column {lacking[0]}=NAME"
-    if all(name in signals.optional and name not in mapped for name in lacking):
-        remedy += f"; or give none of {', '.join(signals.optional)}"
-    has = ", ".join(f"`{name}`" for name in available) or "none"
-    raise LogError(
-        f"{path} has no column{plural} {columns}; {remedy} (in Python, `columns=`). "
-        f"Its columns: {has}."
-    )
-
-
-def _closest(name: str, candidates: Iterable[str]) -> list[str]:
-    """Up to three of the `candidates` that are much like `name`, the closest first."""
-
-    def plain(text: str) -> str:
-        return "".join(c for c in text.lower() if c.isalnum())
-
-    by_plain = {plain(candidate): candidate for candidate in candidates}
-    close = difflib.get_close_matches(plain(name), by_plain, n=3, cutoff=0.5)
-    if not close and name == "t":
-        close = [text for text in by_plain if text.startswith(("t", "sec"))][:1]
-    return [by_plain[text] for text in close]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _check_lengths(path: Path, data: Columns, labels: Mapping[str, str]) -> None:
-    rows = data["t"].size
-    for name, column in data.items():
-        if column.size != rows:
-            raise LogError(
-                f"{path}, column `{labels[name]}` has {column.size} entries, but "
-                f"`{labels['t']}` has {rows}; every column must have the same length."
-            )
-    if rows < 2:
-        raise LogError(
-            f"{path} has {rows} row{'' if rows == 1 else 's'} of samples, but a log must "
-            "have at least 2."
-        )
-
-
-def _check_finite(
-    path: Path,
-    data: Columns,
-    labels: Mapping[str, str],
-    where: Where,
-    truths: tuple[str, ...],
-) -> None:
-    bad = {name: ~np.isfinite(column) for name, column in data.items()}
-    first = {name: int(np.argmax(b)) for name, b in bad.items() if b.any()}
-    if first:
-        name = min(first, key=lambda name: first[name])
-        row = first[name]
-        aside = " (or leave truth out, --no-truth)" if name in truths else ""
-        raise LogError(
-            f"{path}, {where(row)}, column `{labels[name]}`: the value is "
-            f"{data[name][row]}, but it must be finite; remove or repair that row{aside}."
-        )
-
-
-def _check_time(
-    path: Path,
-    t: Float[np.ndarray, " N"],
-    label: str,
-    where: Where,
-    max_gap: float | None,
-) -> None:
-    gaps = np.diff(t)
-    if not (gaps > 0).all():
-        row = int(np.argmin(gaps > 0)) + 1
-        how = "repeats" if gaps[row - 1] == 0 else "runs backwards"
-        raise LogError(
-            f"{path}, {where(row)}, column `{label}`: time {how}, {t[row]:.12g} s after "
-            f"{t[row - 1]:.12g} s; sort the log and drop repeated rows."
-        )
-    median = float(np.median(gaps))
-    limit = GAP_IN_MEDIANS * median if max_gap is None else max_gap
-    if (gaps > limit).any():
-        row = int(np.argmax(gaps > limit)) + 1
-        by_default = "ten median intervals" if max_gap is None else "max_gap"
-        raise LogError(
-            f"{path}, {where(row)}, column `{label}`: a gap of {gaps[row - 1]:.6g} s "
-            f"before {t[row]:.12g} s, above the limit of {limit:.6g} s ({by_default}); "
-            "split the log there or raise the limit, --max-gap (in Python, `max_gap=`)."
-        )

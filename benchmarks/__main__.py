@@ -7,6 +7,7 @@ import sys
 from . import (
     ablation,
     compile_time,
+    felt,
     import_time,
     peers,
     pmsm,
@@ -20,6 +21,7 @@ from . import (
 FLAGS = {"--quick", "--install"}
 quick = "--quick" in sys.argv
 BENCHMARKS = {
+    "felt": felt.main,
     "import_time": import_time.main,
     "compile_time": compile_time.main,
     "replay": replay.main,

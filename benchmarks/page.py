@@ -60,7 +60,17 @@ def peers(figures: dict[str, Any]) -> str:
     return table(("project", "million steps/s", "work"), rows)
 
 
-TABLES = {"pmsm": headline, "systems": systems, "peers": peers}
+def felt(figures: dict[str, Any]) -> str:
+    rows = []
+    for name, f in figures.items():
+        bound = "" if f["bound"] is None else f"{f['bound']:.2g}"
+        parts = f.get("shares", {})
+        split = ", ".join(f"{k} {s:.2g}" for k, s in parts.items())
+        rows.append([name, f"{f['cpu']:.2g}", bound, f"{f['memory']:.0f}", split])
+    return table(("what", "processor time (s)", "at most", "memory (MB)", "of which"), rows)
+
+
+TABLES = {"felt": felt, "pmsm": headline, "systems": systems, "peers": peers}
 
 if __name__ == "__main__":
     for name, of in TABLES.items():

@@ -179,19 +179,21 @@ def test_a_long_log_is_replayed_in_pieces_with_progress(
 ):
     estimate(capsys, short, tmp_path / "whole.npz")
     monkeypatch.setattr(tables, "PIECE", 70)
-    piece, lengths = tables._piece, []
+    run_log, lengths = tables.run_log, []
 
-    def spy(observer, state, t, *rest):
-        lengths.append(t.size)
-        return piece(observer, state, t, *rest)
+    def spy(observer, log, *rest):
+        lengths.append(log[2].shape[0])
+        return run_log(observer, log, *rest)
 
-    monkeypatch.setattr(tables, "_piece", spy)
+    monkeypatch.setattr(tables, "run_log", spy)
     code, _, err = estimate(capsys, short, tmp_path / "pieces.npz")
     assert code == 0
     assert "100%" in err
     assert "299/299" in err
-    # 299 intervals in pieces of at most 70, overlapping by a sample, for both observers.
-    assert lengths[:5] == [60, 61, 61, 61, 61]
+    # 299 intervals in pieces of at most 70, overlapping by a sample, for both observers,
+    # of which the loop starts where the angle is certified.
+    assert lengths[0] == 60 and lengths[2::2] == [61] * 4
+    assert 50 < lengths[1] < 60 and lengths[3::2] == [61] * 4
     assert len(lengths) == 10
     with (
         np.load(tmp_path / "whole.npz") as whole,

@@ -8,6 +8,7 @@ from motion import PrescribedPMSM
 
 import aslo_jax as aslo
 from aslo_jax.engines import NotFusible
+from aslo_jax.engines.fused import replay as fused_replay
 from aslo_jax.engines.fused.program import Program
 
 pytest.importorskip("llvmlite")
@@ -75,7 +76,7 @@ def test_many_logs_and_observers_beside_each_other():
 
 def test_what_does_not_fit_is_refused():
     u, y = log(T)
-    with pytest.raises(ValueError, match='`engine` must be "scan" or "fused"'):
+    with pytest.raises(ValueError, match='`engine` must be "auto", "fused" or "scan"'):
         aslo.replay(observer(), T, u, y, engine="warp")
 
     class Spectrum(aslo.AbstractObserver):
@@ -90,6 +91,7 @@ def test_what_does_not_fit_is_refused():
 
 def test_equal_observers_share_a_program_and_others_do_not(monkeypatch):
     """Numbers of an observer are inputs of the program; what it is made of is not."""
+    fused_replay._cached.cache_clear()  # another test may have such an observer
     made = []
     plain = Program.of
     monkeypatch.setattr(Program, "of", lambda *a: made.append(a) or plain(*a))

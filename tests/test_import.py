@@ -1,5 +1,6 @@
 """What `import aslo_jax` needs and touches, each in a fresh interpreter."""
 
+import ast
 import json
 import subprocess
 import sys
@@ -7,6 +8,20 @@ from importlib.resources import files
 
 import pytest
 
+import aslo_jax
+
+# Reached by name, and not by `from aslo_jax import *`.
+PRIVATE_USE = {
+    "completions",
+    "experiment",
+    "guard",
+    "machines",
+    "paper",
+    "realise",
+    "relations",
+    "solvers",
+    "structure",
+}
 EXTRAS = ("matplotlib", "pandas", "pyarrow", "pydantic", "tqdm", "typer")
 
 
@@ -19,7 +34,7 @@ def imported() -> dict:
     """What an interpreter has after the import, and whether it may still choose devices."""
     done = run(
         "import json, sys, aslo_jax, aslo_jax.logs, aslo_jax.cli, jax\n"
-        "for name in dir(aslo_jax):\n"
+        "for name in aslo_jax.__all__:\n"
         "    getattr(aslo_jax, name)\n"
         f"extras = sorted(set(sys.modules) & set({EXTRAS!r}))\n"
         "double = jax.config.jax_enable_x64\n"
@@ -36,6 +51,48 @@ def test_core_needs_no_extra():
     done = run(code + "import aslo_jax; print(aslo_jax.__version__)")
     assert done.returncode == 0, done.stderr
     assert done.stdout.count(".") == 2
+
+
+def test_neither_the_package_nor_its_help_imports_jax():
+    code = """
+import sys, aslo_jax
+from aslo_jax.cli import main
+
+heavy = {"jax", "numpy", "diffrax", "scipy"}
+print(sorted(heavy & set(sys.modules)), "machines" in dir(aslo_jax))
+for arguments in (["--help"], ["--version"], ["study", "--help"], ["estimate", "--wrong"]):
+    try:
+        main(arguments)
+    except SystemExit as left:
+        print("left", left.code, sorted(heavy & set(sys.modules)))
+from aslo_jax import *
+print(replay is aslo_jax.replay, simulate.__name__, PhaseLockedLoop.__name__)
+print(aslo_jax.plants.PMSM.__name__, aslo_jax.machines.KINDS["pmsm"].kind, aslo_jax.logs)
+import aslo_jax.simulate
+"""
+    done = run(code)
+    lines = done.stdout.splitlines()
+    assert lines[0] == "[] True"
+    left = [line for line in lines if line.startswith("left")]
+    assert left == ["left 0 []"] * 3 + ["left 2 []"]
+    assert "True simulate PhaseLockedLoop" in lines
+    assert lines[-1].startswith("PMSM pmsm <module 'aslo_jax.logs'")
+    assert done.stderr.endswith("No module named 'aslo_jax.simulate'\n")
+
+
+def test_the_names_of_the_package_are_those_that_type_checkers_see():
+    tree = ast.parse((files("aslo_jax") / "__init__.py").read_text())
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    seen = {name.name for line in block.body for name in line.names}
+    assert seen | {"__version__"} == {*aslo_jax.__all__, *PRIVATE_USE}
+    assert seen <= set(dir(aslo_jax))
+
+
+def test_the_command_line_as_a_module():
+    done = subprocess.run(
+        [sys.executable, "-m", "aslo_jax", "--version"], capture_output=True, text=True
+    )
+    assert done.stdout == f"aslo-jax {aslo_jax.__version__}\n"
 
 
 def test_parts_are_imported_when_they_are_asked_for():

@@ -3,6 +3,8 @@
 import sys
 from collections.abc import Sequence
 
+from .._extras import missing
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run `aslo-jax` with `arguments`, by default those of the process, and exit.
@@ -14,6 +16,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
         app(args=None if arguments is None else list(arguments), prog_name="aslo-jax")
     except (ImportError, OSError, ValueError) as error:
+        if isinstance(error, ModuleNotFoundError) and error.name == "pydantic":
+            error = missing("pydantic", "cli")  # typer needs it, too, to read arguments
         message = " ".join(str(error).split())
         print(f"aslo-jax: error: {message}", file=sys.stderr)
         refused = isinstance(error, ValueError | FileNotFoundError)

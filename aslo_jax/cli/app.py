@@ -2,8 +2,6 @@
 
 from typing import Annotated
 
-import jax
-
 from .. import __version__
 from .._extras import missing
 
@@ -13,7 +11,7 @@ except ModuleNotFoundError as error:
     raise missing("typer", "cli") from error
 
 from .calibrate import calibrate
-from .estimate import HELP, estimate
+from .estimate import Explained, estimate
 from .paper import paper
 from .sample import sample
 from .study import HELP as STUDY_HELP, study
@@ -44,10 +42,9 @@ def start(
     ] = None,
 ) -> None:
     """Differentiable state observers: recorded logs, studies, the paper's experiments."""
-    jax.config.update("jax_enable_x64", True)
 
 
-app.command(help=HELP)(estimate)
+app.command(cls=Explained)(estimate)
 app.command()(calibrate)
 app.command()(tune)
 app.command()(sample)

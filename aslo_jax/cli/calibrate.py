@@ -1,18 +1,12 @@
 """`aslo-jax calibrate`: parameters of a machine from a recorded log without truth."""
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
-from .._checks import positive
 from .._extras import require
-from ..logs import Log, read_log
-from ..machines import AbstractDescription, read_machine
-from ..machines.calibrated import calibrate_machine, rewritten, values_of
-from ..tune import Calibration
-from . import table
 from .options import (
     BeforeAndAfter,
     Columns,
@@ -20,9 +14,15 @@ from .options import (
     MachineFile,
     MaxGap,
     QuietTable,
+    double_precision,
     mapping,
 )
 from .outputs import refuse_overlap, staged
+
+if TYPE_CHECKING:
+    from ..logs import Log
+    from ..machines import AbstractDescription
+    from ..tune import Calibration
 
 DOUBTFUL = 0.3  # of a correlation
 
@@ -63,6 +63,12 @@ def calibrate(
     not determine is named and stays as it is in the file. The new file differs from the
     old one in the values that were found; comments and settings stay.
     """
+    double_precision()
+    from .._checks import positive
+    from ..logs import read_log
+    from ..machines import read_machine
+    from ..machines.calibrated import calibrate_machine, rewritten, values_of
+
     positive("--resolution", resolution)
     if cutoff is not None:
         positive("--cutoff", cutoff, "rad/s")
@@ -105,12 +111,12 @@ def calibrate(
         f"of the outputs {', '.join(f'{x:.2g}' for x in found.output_noise)}; correlation "
         f"of prediction errors {found.correlation:.2g}, near 0 where the model is right"
     )
-    unknown = [name for name, x in found.after.items() if not np.isfinite(x)]
+    unknown = [name for name, x in found.after.items() if not math.isfinite(x)]
     if unknown:
         typer.echo(f"unchanged in {out}: {', '.join(unknown)}")
 
 
-def _warn(found: Calibration) -> None:
+def _warn(found: "Calibration") -> None:
     if abs(found.correlation) > DOUBTFUL:
         typer.echo(
             "aslo-jax: warning: the prediction errors are correlated "
@@ -123,16 +129,20 @@ def _warn(found: Calibration) -> None:
 def _draw(
     path: Path,
     title: str,
-    log: Log,
-    before: AbstractDescription,
-    after: AbstractDescription,
+    log: "Log",
+    before: "AbstractDescription",
+    after: "AbstractDescription",
 ) -> None:
     """How far the estimates are from their relation, before and after."""
+    import numpy as np
+
+    from . import table
+
     figures = require("matplotlib.figure", "cli,plot")
     found = {}
     for label, machine in (("before", before), ("after", after)):
-        result = table.estimate_log(log, machine, machine.rates(log))
-        found[label] = machine.residuals(result.columns, log)
+        columns = table.estimate_log(log, machine, machine.rates(log))
+        found[label] = machine.residuals(columns, log)
     names = list(found["before"])
     figure = figures.Figure(figsize=(9, 2.4 * len(names) + 0.8), layout="constrained")
     axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]

@@ -4,12 +4,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from .._extras import require
-from ..logs import Log
 from ..machines import AbstractDescription, Quantity
-from . import table
+from .summary import Summary
+from .trace import Trace, View, vectors
 
 SUFFIXES = (".png", ".pdf", ".svg")
 PERIODS = 2  # shown of what turns, at the start and at the end
@@ -27,22 +27,20 @@ def check_figure_suffix(path: Path) -> None:
         )
 
 
-def save_figure(
-    path: Path,
-    result: table.Result,
-    log: Log,
-    machine: AbstractDescription,
-    title: str,
-) -> None:
-    """Draw `result` and write it to `path`, in the format of its suffix.
+def save_figure(path: Path, trace: Trace, summary: Summary, title: str) -> None:
+    """Draw what was estimated and write it to `path`, in the format of its suffix.
 
     From the top: close-ups of what turns; its error, or where there is no truth how
     consistent it is; what does not turn, over the whole log; certificates."""
     figures = require("matplotlib.figure", "cli,plot")
+    machine, view = summary.machine, trace.whole(summary)
     turning = [q for q in machine.quantities if q.turns]
     others = [q for q in machine.quantities if not (q.turns or q.angle)]
-    errors = _errors(result, log, machine)
-    wide = [*(["error"] if errors else []), *(q.name for q in others), "certificate"]
+    wide = [
+        *(["error"] if view.errors else []),
+        *(q.name for q in others),
+        "certificate",
+    ]
     closeups = [[f"{q.name} {end}" for end in ("start", "end")] for q in turning]
     figure = figures.Figure(figsize=(10, 2 * len(wide) + 2.6 * len(turning) + 1))
     figure.set_layout_engine("constrained")
@@ -52,20 +50,20 @@ def save_figure(
     )
     figure.suptitle(f"{machine.title}: observer over {title}")
     for quantity, (start, end) in zip(turning, closeups, strict=True):
-        _draw_closeups(axes[start], axes[end], quantity, result)
-    if errors:
-        _draw_errors(axes["error"], errors, log, machine, bool(result.truth))
+        _draw_closeups(axes[start], axes[end], quantity, view, trace, summary)
+    if view.errors:
+        _draw_errors(axes["error"], view, machine)
     for quantity in others:
         axis = axes[quantity.name]
-        _draw(axis, quantity, result, np.ones(log.t.size, bool))
+        _draw(axis, quantity, view, _limits(quantity, view, summary))
         axis.set_title(quantity.name.capitalize())
         axis.legend(loc="upper right", ncols=3)
-    _draw_certificates(axes["certificate"], result, machine)
+    _draw_certificates(axes["certificate"], view, machine)
     for name in wide:
-        axes[name].set_xlim(log.t[0], log.t[-1])
+        axes[name].set_xlim(summary.reader.t[0], summary.reader.t[-1])
         axes[name].sharex(axes["certificate"])
         for suffix in machine.suffixes():
-            _shade(axes[name], result, suffix)
+            _shade(axes[name], view, suffix)
     for axis in axes.values():
         axis.grid(alpha=0.3)
     axes["certificate"].set_xlabel("time (s)")
@@ -74,75 +72,71 @@ def save_figure(
 
 
 def _draw(
-    axis: Any, quantity: Quantity, result: table.Result, rows: Bool[np.ndarray, " N"]
+    axis: Any, quantity: Quantity, view: View, limits: tuple[float, float] | None
 ) -> None:
-    """The columns of a quantity, with their truth; limits that outliers do not move."""
-    t, values = result.columns["t"], [result.columns[name] for name in quantity.columns]
-    for k, (name, value) in enumerate(zip(quantity.columns, values, strict=True)):
-        axis.plot(t[rows], value[rows], color=f"C{k}", label=name)
-        if name in result.truth:
+    """The columns of a quantity, with their truth."""
+    for k, name in enumerate(quantity.columns):
+        axis.plot(view.t, view.columns[name], color=f"C{k}", label=name)
+        if name in view.truth:
             last = name == quantity.columns[-1]
             label = "truth" if last else None
-            axis.plot(t[rows], result.truth[name][rows], label=label, **TRUTH)
-    settled = result.settled(quantity.suffix)
-    shown = np.concatenate([value[settled] for value in values])
-    shown = np.concatenate([shown, *(result.truth.get(n, t[:0]) for n in quantity.columns)])
-    if shown.size and np.ptp(shown) > 0:
-        size = np.ptp(shown)
-        axis.set_ylim(shown.min() - 0.1 * size, shown.max() + 0.3 * size)  # and a legend
-    axis.set(ylabel=f"{quantity.unit}", xlim=(t[rows][0], t[rows][-1]))
+            axis.plot(view.t, view.truth[name], label=label, **TRUTH)
+    if limits is not None:
+        axis.set_ylim(limits)
+    axis.set(ylabel=f"{quantity.unit}", xlim=(view.t[0], view.t[-1]))
 
 
-def _draw_closeups(start: Any, end: Any, quantity: Quantity, result: table.Result) -> None:
-    t = result.columns["t"]
-    first, second = (result.columns[name] for name in quantity.columns)
-    turned = np.abs(np.diff(np.unwrap(np.arctan2(second, first))))
-    settled = result.settled(quantity.suffix)[1:]
-    speed = float(np.median((turned / np.diff(t))[settled])) if settled.any() else 0.0
-    window = PERIODS * 2.0 * np.pi / speed if speed > 0 else np.inf
-    window = min(window, t[-1] - t[0])
-    for axis, when, rows in (
-        (start, "start", t <= t[0] + window),
-        (end, "end", t >= t[-1] - window),
-    ):
-        _draw(axis, quantity, result, rows)
+def _limits(quantity: Quantity, view: View, summary: Summary) -> tuple[float, float] | None:
+    """Limits that outliers do not move."""
+    settled = _settled(quantity, view, summary)
+    shown = np.concatenate([view.columns[name][settled] for name in quantity.columns])
+    none = view.t[:0]
+    shown = np.concatenate([shown, *(view.truth.get(n, none) for n in quantity.columns)])
+    if not shown.size or not np.ptp(shown) > 0:
+        return None
+    size = np.ptp(shown)
+    return shown.min() - 0.1 * size, shown.max() + 0.3 * size  # and a legend
+
+
+def _settled(quantity: Quantity, view: View, summary: Summary) -> Bool[np.ndarray, " N"]:
+    return view.t >= summary.settled.get(quantity.suffix, np.inf)
+
+
+def _draw_closeups(
+    start: Any, end: Any, quantity: Quantity, view: View, trace: Trace, summary: Summary
+) -> None:
+    limits = _limits(quantity, view, summary)
+    window = _window(quantity, trace.tail(summary), summary)
+    for axis, when in ((start, "start"), (end, "end")):
+        shown = trace.end(view, window, summary, last=when == "end")
+        _draw(axis, quantity, shown, limits)
+        if when == "start":
+            _shade(axis, shown, quantity.suffix)
         axis.set(
             xlabel="time (s)", title=f"{quantity.name.capitalize()}, {when} of the log"
         )
-    _shade(start, result, quantity.suffix)
     end.legend(loc="upper right", ncols=3)
 
 
-def _errors(
-    result: table.Result, log: Log, machine: AbstractDescription
-) -> dict[str, Float[np.ndarray, " N"]]:
-    """By quantity, relative: to the truth, of vectors where there are any, or of the
-    equation that ought to hold."""
-    if not result.truth:
-        return machine.residuals(result.columns, log)
-    scored = _vectors(machine) or machine.quantities
-    errors = {quantity.name: result.relative_error(quantity) for quantity in scored}
-    return {name: error for name, error in errors.items() if error is not None}
+def _window(quantity: Quantity, view: View, summary: Summary) -> float:
+    """How long (s) a close-up is: so many periods of what turns in full rows."""
+    t, log = view.t, summary.reader.t
+    first, second = (view.columns[name] for name in quantity.columns)
+    turned = np.abs(np.diff(np.unwrap(np.arctan2(second, first))))
+    settled = _settled(quantity, view, summary)[1:]
+    speed = float(np.median((turned / np.diff(t))[settled])) if settled.any() else 0.0
+    window = PERIODS * 2.0 * np.pi / speed if speed > 0 else np.inf
+    return min(window, log[-1] - log[0])
 
 
-def _vectors(machine: AbstractDescription) -> list[Quantity]:
-    return [quantity for quantity in machine.quantities if len(quantity.columns) > 1]
-
-
-def _draw_errors(
-    axis: Any,
-    errors: dict[str, Float[np.ndarray, " N"]],
-    log: Log,
-    machine: AbstractDescription,
-    truth: bool,
-) -> None:
-    for k, (name, error) in enumerate(errors.items()):
-        color, value = COLORS[k % len(COLORS)], _above_zero(error)
-        axis.semilogy(log.t, value, color=color, linewidth=1, label=name)
-    size = "|truth|" if _vectors(machine) else "rms of the truth"
+def _draw_errors(axis: Any, view: View, machine: AbstractDescription) -> None:
+    for k, (name, error) in enumerate(view.errors.items()):
+        color = COLORS[k % len(COLORS)]
+        axis.semilogy(view.t, error, color=color, linewidth=1, label=name)
+    size = "|truth|" if vectors(machine) else "rms of the truth"
     axis.set_title(
         f"Relative error, |estimate - truth| / {size}"
-        if truth
+        if view.truth
         else f"Consistency without truth, {machine.residual}"
     )
     axis.set_ylabel("1")
@@ -152,34 +146,20 @@ def _draw_errors(
     axis.legend(loc="upper right", ncols=3)
 
 
-def _draw_certificates(
-    axis: Any, result: table.Result, machine: AbstractDescription
-) -> None:
+def _draw_certificates(axis: Any, view: View, machine: AbstractDescription) -> None:
     threshold = machine.observer.threshold
     axis.set_ylim(1e-2 * threshold, 2.0)  # a certificate is at most about one
     for k, suffix in enumerate(machine.suffixes()):
-        name = f"certificate{suffix}"
-        value = _above_zero(result.columns[name])
-        axis.semilogy(
-            result.columns["t"],
-            value,
-            color=COLORS[k % len(COLORS)],
-            linewidth=1,
-            label=name,
-        )
+        name, color = f"certificate{suffix}", COLORS[k % len(COLORS)]
+        axis.semilogy(view.t, view.columns[name], color=color, linewidth=1, label=name)
     axis.axhline(threshold, color="black", linestyle=":", label="threshold")
     axis.legend(loc="lower right", ncols=3)
     axis.set(ylabel="1", title="Certificate; grey: coasting")
 
 
-def _above_zero(x: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
-    """`x` with gaps where it is not positive or not finite, for a logarithmic axis."""
-    return np.where((x > 0) & np.isfinite(x), x, np.nan)
-
-
-def _shade(axis: Any, result: table.Result, suffix: str) -> None:
+def _shade(axis: Any, view: View, suffix: str) -> None:
     """Shade the intervals in which an estimate coasts."""
-    t, coasting = result.columns["t"], result.columns[f"coasting{suffix}"].astype(bool)
+    t, coasting = view.t, view.columns[f"coasting{suffix}"].astype(bool)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], coasting, [False]])))
     for first, after in edges.reshape(-1, 2):
         until = t[min(after, t.size - 1)]

@@ -29,6 +29,14 @@ QuietTable = Annotated[
 ]
 
 
+def double_precision() -> None:
+    """What every command computes in. JAX is imported here, and not before a command runs:
+    help and a wrong option do without."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+
+
 def mapping(options: list[str] | None) -> dict[str, str]:
     """The columns of `--column`, by name.
 

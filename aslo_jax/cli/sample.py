@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from ..machines import template
 from .outputs import staged
 
 NAMES = ("pmsm_log.csv", "motor.toml", "README.md")
@@ -28,6 +27,8 @@ def sample(
     Files that exist are left alone and reported as an error.
     """
     if kind is not None:
+        from ..machines import template
+
         typer.echo(template(kind), nl=False)
         return
     targets = [out / name for name in NAMES]

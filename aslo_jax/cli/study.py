@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .._extras import require
-from ..study import open_study, run
-from ..study.cluster import local_cluster
-from ..study.config import NAMES, Configuration, read_configuration
-from .options import QuietSummary
+from .._studies import NAMES
+from .options import QuietSummary, double_precision
 
 if TYPE_CHECKING:
+    from ..study.config import Configuration
     from ..study.sensitivity import Index
 
 STORE = "study.zarr"
@@ -84,6 +83,11 @@ def study(
     quiet: QuietSummary = False,
 ) -> None:
     """Run a study; its help is [`HELP`][]."""
+    double_precision()
+    from ..study import open_study, run
+    from ..study.cluster import local_cluster
+    from ..study.config import read_configuration
+
     if cluster is not None and workers is not None:
         raise ValueError("--cluster and --workers exclude each other; give one of them.")
     if out.exists() and not out.is_dir():
@@ -126,10 +130,11 @@ def study(
 
 
 def _report(
-    configuration: Configuration, seed: int, out: Path, influences: Any = None
+    configuration: "Configuration", seed: int, out: Path, influences: Any = None
 ) -> Path:
     """Write the report, with the bound where there is one."""
     # Not for those who do not want one: scipy.stats is slow to import.
+    from ..study import open_study
     from ..study.reference import with_reference
     from ..study.report import write_report
 
@@ -141,7 +146,7 @@ def _report(
     return write_report(dataset, out, title=configuration.title, influences=influences)
 
 
-def _rms(configuration: Configuration) -> str:
+def _rms(configuration: "Configuration") -> str:
     """The metric that sensitivity is told of: the first rms error."""
     tables = configuration.content["metrics"]
     for name, table in tables.items():
@@ -154,7 +159,7 @@ def _rms(configuration: Configuration) -> str:
 
 
 def _influences(
-    configuration: Configuration, seed: int, engine: Engine, quiet: bool
+    configuration: "Configuration", seed: int, engine: Engine, quiet: bool
 ) -> "Mapping[str, list[Index]]":
     """The indices of every observer, printed unless `quiet`."""
     from ..study.influence import influences

@@ -1,155 +1,218 @@
-"""From a log and a machine to the table of estimates."""
+"""From a log and a machine to the table of estimates, piece by piece."""
 
 import dataclasses
-import itertools
-import math
-from collections.abc import Callable
+import warnings
 from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
+from .._replay import common_interval, run_log
 from ..logs import Log
-from ..machines import AbstractDescription, Quantity
-from ..machines.base import Columns, Rates, relative
-from ..observers import AbstractObserver, PhaseLockedLoop, wrap
-from ..replay import replay
+from ..machines import AbstractDescription
+from ..machines.base import Columns, Rates
+from ..observers import AbstractObserver, PhaseLockedLoop
 
 PIECE = 50_000  # rows replayed at once
 
 
 @dataclasses.dataclass(frozen=True)
-class Result:
-    """The estimates of a log of `N` rows.
+class Piece:
+    """Rows of the table of estimates.
 
-    - `columns`: the table, each column of shape `(N,)`;
+    - `columns`, each of shape `(N,)`: `t` (s), the quantities of the machine, `certificate`
+      and `coasting` with every suffix, and where there is truth the errors, estimate less
+      truth;
     - `truth`: the truth by the names of that table;
-    - `rates`: those of the observer, by key; `substeps` per sampling interval.
+    - `residuals`: those of the machine, by quantity, where there is no truth.
     """
 
     columns: Columns
     truth: Columns
-    rates: Rates
-    substeps: int
-
-    def start(self, suffix: str) -> int | None:
-        """The row of the first certified estimate, `None` where there is none."""
-        coasting = self.columns[f"coasting{suffix}"]
-        return None if coasting.all() else int(np.argmin(coasting))
-
-    def settled(self, suffix: str) -> Bool[np.ndarray, " N"]:
-        """The rows that a summary counts: from ten time constants after the first
-        certified estimate on, or from that one in a short log. The time constant is that
-        of loop and gain, which forget their start, or else of the fastest filter."""
-        t, start = self.columns["t"], self.start(suffix)
-        if start is None:
-            return np.zeros(t.size, bool)
-        loops = [self.rates[k].value for k in ("gain", "pll_bandwidth") if k in self.rates]
-        rate = min(loops) if loops else max(rate.value for rate in self.rates.values())
-        rows = t >= t[start] + 10.0 / rate
-        return rows if rows.any() else t >= t[start]
-
-    def relative_error(self, quantity: Quantity) -> Float[np.ndarray, " N"] | None:
-        """`|error| / |truth|` of a quantity row by row, where all its truth is known; of a
-        scalar, which may go through zero, over the rms of its truth."""
-        if not set(quantity.columns) <= self.truth.keys():
-            return None
-        error = np.stack([self.columns[f"error_{name}"] for name in quantity.columns])
-        size = np.linalg.norm([self.truth[name] for name in quantity.columns], axis=0)
-        if len(quantity.columns) == 1:
-            size = np.full_like(size, np.sqrt(np.mean(size**2)))
-        return relative(np.linalg.norm(error, axis=0), size)
+    residuals: Columns
 
 
-def estimate_log(
-    log: Log,
-    machine: AbstractDescription,
-    rates: Rates,
-    substeps: int = 4,
-    progress: Callable[[int], Any] = lambda rows: None,
-) -> Result:
-    """Run the observer of a machine over a log, and a phase-locked loop where it has an
-    angle. `progress` is told of rows as they are done.
+class Replayed:
+    """[`replay`][] of a log that comes in pieces, which gives the same estimates: a piece
+    begins with the last row of the one before.
 
-    The columns are `t` (s), the quantities of the machine, `certificate` and `coasting`
-    with every suffix, and where the log has truth the errors, estimate less truth.
+    - `interval` (s): that of an evenly sampled log, `None` otherwise;
+    - `slow`: why it runs by the slower engine, if it does.
     """
-    observer = machine.state_observer(rates)
-    estimate = in_pieces(observer, log.t, log.u, log.y, substeps, progress)
-    found = machine.columns(estimate, log)
-    for quantity in machine.quantities:
-        if quantity.tracks is not None:
-            # The first certified row; where there is none argmin gives the first one.
-            start = int(np.argmin(found[f"coasting{quantity.suffix}"]))
-            angle, bandwidth = found[quantity.tracks], rates["pll_bandwidth"].value
-            found[quantity.columns[0]] = _speed(log.t, angle, start, bandwidth)
-    suffixes = machine.suffixes()
-    names = [name for quantity in machine.quantities for name in quantity.columns]
-    names += [f"certificate{suffix}" for suffix in suffixes]
-    names += [f"coasting{suffix}" for suffix in suffixes]
-    truth = machine.truth(log)
-    columns = {"t": log.t} | {name: found[name] for name in names}
-    angles = [q.columns[0] for q in machine.quantities if q.angle]
-    for name in truth:
-        error = columns[name] - truth[name]
-        columns[f"error_{name}"] = _wrapped(error) if name in angles else error
-    return Result(columns, truth, rates, substeps)
+
+    def __init__(
+        self, observer: AbstractObserver, interval: float | None, substeps: int = 1
+    ):
+        self.observer, self.substeps = observer, substeps
+        self.interval = None if interval is None else np.asarray(interval)
+        self.slow = ""
+        self._engine, self._state = "auto", None
+
+    def __call__(
+        self,
+        t: Float[np.ndarray, " N"],
+        u: Float[np.ndarray, "N ..."],
+        y: Float[np.ndarray, "N ..."],
+    ) -> Any:
+        """The estimates of a piece, of its first row too."""
+        lengths = None if self.interval is not None else np.diff(t)
+        log = (np.zeros(()), u, y, lengths)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            estimate, self._state = run_log(
+                self.observer, log, self.interval, self.substeps, self._state, self._engine
+            )
+        if said and self._engine == "auto":
+            self.slow, self._engine = str(said[0].message), "scan"
+        return jax.tree.map(np.asarray, estimate)
 
 
-def in_pieces(
-    observer: AbstractObserver,
-    t: Float[np.ndarray, " N"],
-    u: Float[np.ndarray, "N ..."],
-    y: Float[np.ndarray, "N ..."],
-    substeps: int = 1,
-    progress: Callable[[int], Any] = lambda rows: None,
-) -> Any:
-    """[`replay`][] piece by piece, which gives the same estimates.
+class Estimator:
+    """The observer of a machine over a log, and a phase-locked loop for every quantity that
+    tracks an angle.
 
-    Pieces overlap by one sample and have at most two lengths, so that at most two are
-    compiled. Time is taken from the start of each, so that it keeps its digits."""
-    intervals = t.size - 1
-    pieces = math.ceil(intervals / PIECE)
-    edges = np.linspace(0, intervals, pieces + 1).astype(int)
-    state, done = observer.init(y[0], u[0]), []
-    for first, last in itertools.pairwise(edges):
-        rows = slice(first, last + 1)
-        estimate, state = _piece(
-            observer, state, t[rows] - t[first], u[rows], y[rows], substeps
+    - `t`: every instant of the log (s), whose pieces come in order;
+    - `first`: the row in which the loops start, by default the first certified one;
+    - `starts`: by suffix, the first certified row, once there is one.
+    """
+
+    def __init__(
+        self,
+        machine: AbstractDescription,
+        rates: Rates,
+        t: Float[np.ndarray, " N"],
+        substeps: int = 4,
+        first: int | None = None,
+    ):
+        self.machine, self.starts = machine, dict[str, int]()
+        interval = common_interval(t)
+        self.observed = Replayed(machine.state_observer(rates), interval, substeps)
+        self._tracked = [q for q in machine.quantities if q.tracks is not None]
+        bandwidth = rates["pll_bandwidth"].value if self._tracked else 0.0
+        self._bandwidth = bandwidth
+        self._loops = {
+            q.name: Replayed(PhaseLockedLoop(bandwidth), interval) for q in self._tracked
+        }
+        self._rows, self._first = 0, first
+        self._last: Columns = {}
+        self._before: tuple[Columns, Log] | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether every loop has started."""
+        return all(
+            self._first is not None or q.suffix in self.starts for q in self._tracked
         )
-        new = jax.tree.map(np.asarray, estimate)
-        done.append(jax.tree.map(lambda x: x[1:], new) if done else new)
-        progress(int(last - first))
-    return jax.tree.map(lambda *x: np.concatenate(x), *done)
 
+    def __call__(self, log: Log) -> Piece:
+        """The table of a piece of the log, without the row that it shares with the one
+        before."""
+        fresh = self._rows == 0
+        # The row that this piece begins with.
+        begin = 0 if fresh else self._rows - 1
+        found = self.machine.columns(self.observed(log.t, log.u, log.y), log)
+        for quantity in self.machine.quantities:
+            if quantity.angle:
+                self._continue(found, quantity.columns[0])
+        for suffix in self.machine.suffixes():
+            trusted = found[f"coasting{suffix}"] == 0
+            if suffix not in self.starts and trusted.any():
+                self.starts[suffix] = begin + int(np.argmax(trusted))
+        for quantity in self._tracked:
+            assert quantity.tracks is not None
+            start = self.starts.get(quantity.suffix, self._first)
+            found[quantity.columns[0]] = self._speed(
+                quantity.name,
+                log.t,
+                found[quantity.tracks],
+                log.t.size if start is None else max(start - begin, 0),
+            )
+        self._rows = begin + log.t.size
+        truth = self.machine.truth(log)
+        whole = self._table(found, log.t, truth)
+        shared = 0 if fresh else 1
+        residuals = {} if truth else self._residuals(whole, log, log.t.size - shared)
+        new = lambda columns: {name: x[shared:] for name, x in columns.items()}
+        return Piece(new(whole), new(truth), residuals)
 
-@eqx.filter_jit
-def _piece(observer, state, t, u, y, substeps):
-    return replay(observer, t, u, y, substeps=substeps, state=state, return_state=True)
+    def _continue(self, found: Columns, name: str) -> None:
+        """Whole turns more or less, so that an unwrapped angle goes on from the last row of
+        the piece before."""
+        angle = found[name]
+        if name in self._last:
+            turns = np.round((self._last[name] - angle[0]) / (2.0 * np.pi))
+            angle = found[name] = angle + 2.0 * np.pi * turns
+        self._last[name] = angle[-1]
 
+    def _speed(
+        self,
+        name: str,
+        t: Float[np.ndarray, " N"],
+        angle: Float[np.ndarray, " N"],
+        first: int,
+    ) -> Float[np.ndarray, " N"]:
+        """The speed (rad/s) of an angle (rad) that counts from row `first`, before it zero.
 
-def _speed(
-    t: Float[np.ndarray, " N"],
-    angle: Float[np.ndarray, " N"],
-    first: int,
-    bandwidth: float,
-) -> Float[np.ndarray, " N"]:
-    """The speed (rad/s) of an angle (rad) that counts from row `first`, before it zero.
-
-    It is `w + 2 b e` of the loop's state w and angle error e: unlike w alone, it does not
-    lag under constant acceleration."""
-    speed = np.zeros_like(t)
-    if t.size - first < 2:
+        It is `w + 2 b e` of the loop's state w and angle error e: unlike w alone, it does
+        not lag under constant acceleration."""
+        speed = np.zeros_like(t)
+        if t.size - first < 2:
+            return speed
+        t, angle = t[first:], angle[first:]
+        loop = self._loops[name](t, np.zeros_like(t), angle)
+        error = _wrapped(angle - loop.value[:, 0])
+        speed[first:] = loop.value[:, 1] + 2.0 * self._bandwidth * error
         return speed
-    t, angle = t[first:], angle[first:]
-    loop = in_pieces(PhaseLockedLoop(bandwidth), t, np.zeros_like(t), angle)
-    error = _wrapped(angle - loop.value[:, 0])
-    speed[first:] = loop.value[:, 1] + 2.0 * bandwidth * error
-    return speed
+
+    def _table(self, found: Columns, t: Float[np.ndarray, " N"], truth: Columns) -> Columns:
+        suffixes = self.machine.suffixes()
+        quantities = self.machine.quantities
+        names = [name for quantity in quantities for name in quantity.columns]
+        names += [f"certificate{suffix}" for suffix in suffixes]
+        names += [f"coasting{suffix}" for suffix in suffixes]
+        columns = {"t": t} | {name: found[name] for name in names}
+        angles = [q.columns[0] for q in quantities if q.angle]
+        for name, true in truth.items():
+            error = columns[name] - true
+            columns[f"error_{name}"] = _wrapped(error) if name in angles else error
+        return columns
+
+    def _residuals(self, columns: Columns, log: Log, new: int) -> Columns:
+        """Those of the last `new` rows, and of the rows before that they depend on."""
+        if self._before is not None:
+            columns, log = _joined(*self._before, columns, log)
+        if self.machine.memory:
+            kept = slice(-1 - self.machine.memory, None)
+            self._before = {k: x[kept] for k, x in columns.items()}, _rows(log, kept)
+        found = self.machine.residuals(columns, log)
+        return {name: x[x.size - new :] for name, x in found.items()}
+
+
+def _joined(columns: Columns, log: Log, more: Columns, piece: Log) -> tuple[Columns, Log]:
+    """Rows and those after them, of which the first is the last of the former."""
+    join = lambda a, b: np.concatenate([a, b[1:]])
+    truth = {k: join(x, piece.truth[k]) for k, x in log.truth.items()}
+    joined = Log(join(log.t, piece.t), join(log.u, piece.u), join(log.y, piece.y), truth)
+    return {k: join(x, more[k]) for k, x in columns.items()}, joined
+
+
+def _rows(log: Log, rows: slice) -> Log:
+    truth = {name: x[rows] for name, x in log.truth.items()}
+    return Log(log.t[rows], log.u[rows], log.y[rows], truth)
 
 
 def _wrapped(angle: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
-    return np.asarray(wrap(jnp.asarray(angle)))
+    """The same angle in [-pi, pi) (rad)."""
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def estimate_log(
+    log: Log, machine: AbstractDescription, rates: Rates, substeps: int = 4
+) -> Columns:
+    """The table of estimates of a log in memory, by an [`Estimator`][]."""
+    estimator = Estimator(machine, rates, log.t, substeps)
+    columns = estimator(log).columns
+    if estimator.complete:
+        return columns
+    return Estimator(machine, rates, log.t, substeps, first=0)(log).columns

@@ -2,18 +2,16 @@
 
 import tomllib
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .._extras import require
-from .._toml_text import rewritten
-from ..logs import read_log
-from ..machines.file import KINDS
-from ..study.config import configure
-from ..tune.configured import Tuned, calibrate_study, changed, tune_study
-from .options import BeforeAndAfter, QuietTable
+from .options import BeforeAndAfter, QuietTable, double_precision
 from .outputs import refuse_overlap, staged
+
+if TYPE_CHECKING:
+    from ..tune.configured import Tuned
 
 
 def tune(
@@ -49,6 +47,13 @@ def tune(
     study's spread; fresh samples judge the result. The new file differs from the old one in
     the values that were found; comments and settings stay.
     """
+    double_precision()
+    from .._toml_text import rewritten
+    from ..logs import read_log
+    from ..machines.file import KINDS
+    from ..study.config import configure
+    from ..tune.configured import calibrate_study, changed, tune_study
+
     if out.suffix.lower() != ".toml":
         raise ValueError(f"--out must be a .toml file, but is {out}.")
     outputs = {"--out": out} | ({"--plot": plot} if plot else {})
@@ -92,7 +97,7 @@ def tune(
         _print(tuned)
 
 
-def _print(tuned: dict[str, Tuned]) -> None:
+def _print(tuned: "dict[str, Tuned]") -> None:
     for name, each in tuned.items():
         gains = ", ".join(
             f"{key} {each.before[key]:.4g} to {each.after[key]:.4g}" for key in each.before
@@ -111,7 +116,7 @@ def compared(before: float, after: float) -> str:
     return "no less: more --samples may find better gains"
 
 
-def _draw(path: Path, title: str, tuned: dict[str, Tuned]) -> None:
+def _draw(path: Path, title: str, tuned: "dict[str, Tuned]") -> None:
     """The rms errors over fresh samples, before and after."""
     figures = require("matplotlib.figure", "cli,plot")
     figure = figures.Figure(figsize=(7.5, 0.55 * len(tuned) + 1.8), layout="constrained")

@@ -117,7 +117,8 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
     - `motion`: what a log in which nothing is observable lacks, as a question;
     - `residual`: the formula of what [`AbstractDescription.residuals`][] returns;
     - `refused`: keys of `[observer]` that other kinds have and this one cannot, and why;
-    - `longest_interval` (s): a median interval above it makes one doubt the unit of `t`.
+    - `longest_interval` (s): a median interval above it makes one doubt the unit of `t`;
+    - `memory`: on how many rows before it a row of the residuals depends.
     """
 
     machine: M
@@ -130,6 +131,7 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
     residual: ClassVar[str]
     refused: ClassVar[Mapping[str, str]]
     longest_interval: ClassVar[float]
+    memory: ClassVar[int] = 0
 
     @abc.abstractmethod
     def plant(self) -> AbstractPlant:
@@ -138,8 +140,8 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
     @abc.abstractmethod
     def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
         """The rates of the observer that are not `stated`, where there are defaults for
-        them without a log or, if there is one, with it. Refuses a stated rate that does
-        not suit the log."""
+        them without a log or, if there is one, `condensed`, with it. Refuses a stated rate
+        that does not suit the log."""
 
     @abc.abstractmethod
     def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver:
@@ -179,11 +181,22 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         """Those of the columns `certificate` and `coasting`."""
         return self.columns_of_log().suffixes()
 
+    def condensed(self, log: Log) -> Log:
+        """Of a log, or of a piece of one, what `default_rates` looks at where no cutoff is
+        stated, in as few columns as it takes: of a long log they are all that is held in
+        memory. By default nothing but the instants."""
+        nothing = np.zeros((log.t.size, 0))
+        return Log(log.t, nothing, nothing, {})
+
     def rates(
         self, log: Log | None = None, given: Mapping[str, float] | None = None
     ) -> Rates:
         """The rates of the observer by their keys in `[observer]`: those `given` (rad/s),
         then those of the file, then the defaults, for which a cutoff may need the `log`."""
+        return self.rates_of(None if log is None else self.condensed(log), given)
+
+    def stated(self, given: Mapping[str, float] | None = None) -> dict[str, float]:
+        """The rates that are `given` (rad/s) or in the file, by their keys."""
         given = {} if given is None else given
         known = [k for k, f in type(self.observer).model_fields.items() if is_rate(f)]
         for name in given:
@@ -193,15 +206,22 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
                     f'`{name}` is not for a machine of the kind "{self.kind}": {reason}.'
                 )
         in_file = {k: getattr(self.observer, k) for k in known}
-        stated = {k: v for k, v in (in_file | dict(given)).items() if v is not None}
-        chosen = self.default_rates(log, stated)
+        return {k: v for k, v in (in_file | dict(given)).items() if v is not None}
+
+    def rates_of(
+        self, condensed: Log | None, given: Mapping[str, float] | None = None
+    ) -> Rates:
+        """[`AbstractDescription.rates`][] of a log that is `condensed`."""
+        stated = self.stated(given)
+        chosen = self.default_rates(condensed, stated)
         if "cutoff" not in stated | chosen:
             raise MachineError(
                 "Argument `log` must be given where neither `given` nor `[observer]` has "
                 "a `cutoff`: it is then chosen for the log."
             )
         every = {k: Rate(v) for k, v in stated.items()} | chosen
-        return {k: every[k] for k in known if k in every}
+        fields = type(self.observer).model_fields
+        return {k: every[k] for k in fields if k in every}
 
 
 def is_rate(field: Any) -> bool:

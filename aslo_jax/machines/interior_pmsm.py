@@ -105,12 +105,15 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
         return InteriorPMSM(**self.machine.model_dump(exclude={"kind"}))
 
     def default_rates(self, log, stated):
-        rates = motor.motor_rates(log, stated, self.machine.resistance)
+        rates = motor.motor_rates(log, stated)
         cutoff = rates["cutoff"].value if "cutoff" in rates else stated.get("cutoff")
         needed = self.observer.saliency == "self-consistent" and "gain" not in stated
         if needed and cutoff is not None:
             rates["gain"] = Rate(cutoff, "that of the filter")
         return rates
+
+    def condensed(self, log):
+        return motor.driving(log, self.machine.resistance)
 
     def state_observer(self, rates):
         settings, cutoff = self.observer, rates["cutoff"].value

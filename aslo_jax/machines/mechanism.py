@@ -94,6 +94,7 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
         "follows an angle; remove it",
     }
     longest_interval = 0.1
+    memory = WINDOW
 
     @abc.abstractmethod
     def plant(self) -> AbstractMechanicalSystem:
@@ -119,6 +120,9 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
         if cutoff < 2.0 * fastest:
             cutoff, why = 2.0 * fastest, "twice the varying friction over its inertia"
         return {"cutoff": Rate(cutoff, why)}
+
+    def condensed(self, log):
+        return Log(log.t, np.zeros((log.t.size, 0)), log.y, {})
 
     def _fastest_decay(self) -> float:
         """The largest varying friction over its inertia (1/s), zero where there is none."""

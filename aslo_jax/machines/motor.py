@@ -20,7 +20,7 @@ from .base import (
     certified,
     in_columns,
 )
-from .speed import cutoff_for, electrical_speed
+from .speed import cutoff_for, turning_speed
 
 PLL_BANDWIDTH = 100.0  # rad/s
 LONGEST_INTERVAL = 5e-3  # s: 200 Hz, or 200 kHz with time in milliseconds
@@ -53,8 +53,14 @@ class MotorObserver(Table):
     pll_bandwidth: Positive | None = keys.pll_bandwidth()
 
 
-def motor_rates(log: Log | None, stated: Mapping[str, float], resistance: float) -> Rates:
-    """The rates of a motor's observer that are not `stated`.
+def driving(log: Log, resistance: float) -> Log:
+    """A log of the derivative of the flux, `u - R i` (V), alone."""
+    v = log.u - resistance * log.y
+    return Log(log.t, v, np.zeros((log.t.size, 0)), {})
+
+
+def motor_rates(log: Log | None, stated: Mapping[str, float]) -> Rates:
+    """The rates of a motor's observer that are not `stated`, from a log of [`driving`][].
 
     The loop is sampled by Heun's method, which wants its bandwidth below half of the
     sampling rate: the default gives way to that, a stated bandwidth is refused."""
@@ -71,7 +77,7 @@ def motor_rates(log: Log | None, stated: Mapping[str, float], resistance: float)
             "`observer.pll_bandwidth`, and check that `t` is in seconds."
         )
     if "cutoff" not in stated and log is not None:
-        speed = electrical_speed(log.t, log.u, log.y, resistance)
+        speed = turning_speed(log.t, log.u)
         rates["cutoff"] = Rate(
             cutoff_for(speed), f"for the log's electrical speed of {speed:.4g} rad/s"
         )

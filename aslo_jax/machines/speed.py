@@ -5,6 +5,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
+PIECE = 64 << 14  # rows
 MINIMUM_CUTOFF = 5.0  # rad/s, what a log of a machine at rest gets
 
 
@@ -14,18 +15,20 @@ def electrical_speed(
     y: Float[np.ndarray, "N 2"],
     resistance: float,
 ) -> float:
-    """The typical electrical speed of a log (rad/s), unsigned, without an observer.
+    """The typical electrical speed of a log (rad/s), unsigned, without an observer: the
+    [`turning_speed`][] of `u - R i` (V), the derivative of the flux."""
+    return turning_speed(t, u - resistance * y)
 
-    It is the rate at which `u - R i` (V), the derivative of the flux, turns, averaged with
-    its square as the weight; zero for a motor at rest. Against noise, samples are averaged
-    over blocks in which it turns by about half a radian, and signed turns are summed over
-    64 blocks before their size is taken.
+
+def turning_speed(t: Float[np.ndarray, " N"], v: Float[np.ndarray, "N 2"]) -> float:
+    """The rate at which the vector v turns (rad/s), unsigned, averaged with its square as
+    the weight; zero for one at rest. Against noise, samples are averaged over blocks in
+    which it turns by about half a radian, and signed turns are summed over 64 blocks before
+    their size is taken.
     """
-    v, size, speed = u - resistance * y, 1, 0.0
+    size, speed = 1, 0.0
     for _ in range(8):  # noise makes the first speeds too large, the first blocks too short
-        blocks = t.size // size
-        means = v[: blocks * size].reshape(blocks, size, 2).mean(axis=1)
-        times = t[: blocks * size].reshape(blocks, size).mean(axis=1)
+        means, times = _blocks(v, size), _blocks(t, size)
         speed = _turning(times, means)
         wider = 0.5 * size / max(speed * float(np.median(np.diff(times))), 1e-9)
         previous, size = size, int(np.clip(wider, size, max(t.size // 8, 1)))
@@ -34,11 +37,23 @@ def electrical_speed(
     return speed
 
 
+def _blocks(x: Float[np.ndarray, "N *k"], size: int) -> Float[np.ndarray, "M *k"]:
+    """The means of blocks of `size` rows, without what is left over."""
+    if size == 1:
+        return x
+    blocks = x.shape[0] // size
+    return x[: blocks * size].reshape(blocks, size, *x.shape[1:]).mean(axis=1)
+
+
 def _turning(t: Float[np.ndarray, " M"], v: Float[np.ndarray, "M 2"]) -> float:
-    turn = v[:-1, 0] * v[1:, 1] - v[:-1, 1] * v[1:, 0]
-    square = 0.5 * np.sum(v[:-1] ** 2 + v[1:] ** 2, axis=1)
-    turned = np.abs(np.add.reduceat(turn, np.arange(0, turn.size, 64))).sum()
-    weight = np.sum(square * np.diff(t))
+    """Piece by piece, since each of the products below is as long as the log."""
+    turned = weight = 0.0
+    for first in range(0, t.size - 1, PIECE):
+        w, h = v[first : first + PIECE + 1], np.diff(t[first : first + PIECE + 1])
+        turn = w[:-1, 0] * w[1:, 1] - w[:-1, 1] * w[1:, 0]
+        square = 0.5 * np.sum(w[:-1] ** 2 + w[1:] ** 2, axis=1)
+        turned += np.abs(np.add.reduceat(turn, np.arange(0, turn.size, 64))).sum()
+        weight += np.sum(square * h)
     return float(turned / weight) if weight > 0 else 0.0
 
 

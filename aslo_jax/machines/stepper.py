@@ -42,7 +42,10 @@ class StepperDescription(AbstractDescription[StepperTable, motor.MotorObserver])
         return Stepper(**self.machine.model_dump(exclude={"kind"}))
 
     def default_rates(self, log, stated):
-        return motor.motor_rates(log, stated, self.machine.resistance)
+        return motor.motor_rates(log, stated)
+
+    def condensed(self, log):
+        return motor.driving(log, self.machine.resistance)
 
     def state_observer(self, rates):
         settings = self.observer

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import model_validator
 
-from ..logs import Signals
+from ..logs import Log, Signals
 from ..observers import SideBySide
 from ..plants import WRIM
 from . import keys
@@ -25,7 +25,7 @@ from .base import (
     length,
     relative,
 )
-from .speed import cutoff_for, electrical_speed
+from .speed import cutoff_for, turning_speed
 
 NO_ANGLE = "the table has no angle that a phase-locked loop could follow; remove it"
 STATOR, ROTOR = ("flux_s_alpha", "flux_s_beta"), ("flux_r_alpha", "flux_r_beta")
@@ -113,15 +113,19 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
             return {} if "rotor_cutoff" in stated else {"rotor_cutoff": Rate(rotor)}
         if log is None:
             return {}
-        R_s, R_r = self.machine.stator_resistance, self.machine.rotor_resistance
-        u_r = log.u[:, 2:] if log.u.shape[1] == 4 else np.zeros_like(log.y[:, 2:])
-        stator = electrical_speed(log.t, log.u[:, :2], log.y[:, :2], R_s)
-        rotor = electrical_speed(log.t, u_r, log.y[:, 2:], R_r)
+        stator = turning_speed(log.t, log.u[:, :2])
+        rotor = turning_speed(log.t, log.u[:, 2:])
         why = "for {} rad/s, the typical frequency of u - R i there".format
         rates = {"cutoff": Rate(cutoff_for(stator), why(f"{stator:.4g}"))}
         if "rotor_cutoff" not in stated:
             rates["rotor_cutoff"] = Rate(cutoff_for(rotor), why(f"{rotor:.4g}"))
         return rates
+
+    def condensed(self, log):
+        R_s, R_r = self.machine.stator_resistance, self.machine.rotor_resistance
+        v = -np.repeat([R_s, R_r], 2) * log.y
+        v[:, : log.u.shape[1]] += log.u
+        return Log(log.t, v, np.zeros((log.t.size, 0)), {})
 
     def state_observer(self, rates):
         settings, plant = self.observer, self.plant()

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from .._checks import is_concrete, positive, real
+from .._runge_kutta import runge_kutta
 from .._small import safe_reciprocal, solve_definite
 from ..filters import AbstractLaw
 from ..plants import AbstractMechanicalSystem, FluxRelation
 from ..realise import Pass
-from ..solvers import runge_kutta
 from .base import AbstractObserver, Estimate
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PyTree
 
+from .._runge_kutta import runge_kutta
 from ..disturbances import AbstractDisturbance, SampledNoise
 from ..experiment import Carry, Experiment
-from ..solvers import runge_kutta
 from . import statistics
 
 Square = Float[Array, "n n"]

@@ -49,22 +49,25 @@ class Figure:
     draw: Callable[[Any], None]
     height: float
 
-    def render(self, kind: str) -> bytes:
-        """The figure as `"png"` or `"svg"`, without a display; the same figure, the same
-        bytes."""
+    def render(self) -> dict[str, bytes]:
+        """The figure as `"png"` and as `"svg"`, without a display; the same figure, the
+        same bytes. It is drawn and laid out once for both, which takes the longest."""
         require("matplotlib", "plot")
         import matplotlib
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure as Canvas
 
-        dated = {"png": "Software", "svg": "Date"}[kind]
+        found = {}
         with matplotlib.rc_context(_SETTINGS):
             canvas = Canvas(figsize=(_WIDTH, self.height), layout="constrained")
             FigureCanvasAgg(canvas)
             self.draw(canvas)
-            out = io.BytesIO()
-            canvas.savefig(out, dpi=150, format=kind, metadata={dated: None})
-        return out.getvalue()
+            for kind, dated in (("png", "Software"), ("svg", "Date")):
+                out = io.BytesIO()
+                canvas.savefig(out, dpi=150, format=kind, metadata={dated: None})
+                found[kind] = out.getvalue()
+                canvas.set_layout_engine("none")  # what was laid out stays where it is
+        return found
 
 
 def metric_figure(tables: Sequence[Table]) -> Figure:

@@ -58,6 +58,7 @@ def write_report(
     seed = int(dataset.attrs.get("seed", 0))
     tables = [table(dataset, name, confidence, seed) for name in numeric]
     figures = _figures(dataset, tables)
+    pictures = {figure.name: figure.render() for figure in figures}
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("aslo_jax.study"),
         autoescape=True,
@@ -79,7 +80,7 @@ def write_report(
             for name, rows in proportions(dataset, confidence).items()
         ],
         overrides="diverged" in dataset,
-        figures={f.name: (f.caption, _embedded(f.render("svg"))) for f in figures},
+        figures={f.name: (f.caption, _embedded(pictures[f.name]["svg"])) for f in figures},
         bound=any(table.bound is not None for table in tables),
         facts=_facts(dataset),
         influences=_by_parameter(influences or {}),
@@ -87,8 +88,8 @@ def write_report(
         configuration=_pretty(dataset.attrs.get("configuration")),
     )
     folder.mkdir(parents=True, exist_ok=True)
-    for figure in figures:
-        _write(folder / f"{figure.name}.png", figure.render("png"))
+    for name, picture in pictures.items():
+        _write(folder / f"{name}.png", picture["png"])
     _write(folder / "report.html", page.encode())
     return folder / "report.html"
 

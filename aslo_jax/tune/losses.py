@@ -13,12 +13,12 @@ from jaxtyping import Array, Float, PyTree
 
 from .. import random
 from .._checks import nonnegative, positive, real, whole
+from .._replay import replay
 from ..engines import run_batch
 from ..engines.fused.plan import Plan
 from ..experiment import Experiment, Record
 from ..metrics import AbstractMetric
 from ..observers import AbstractObserver
-from ..replay import replay
 from .checkpoints import checkpointed
 
 Reduction = Callable[[Float[Array, "N *costs"]], Float[Array, "*costs"]]

@@ -25,19 +25,22 @@ def replay_fused(
     state: ObserverState,
     u: PyTree,
     y: PyTree,
-    intervals: Array,
+    intervals: Array | None,
+    coefficients: PyTree,
     substeps: int,
 ) -> tuple[Any, ObserverState]:
-    """The estimates after each interval, and the last state, from the held `u`, the `y` at
-    the ends of the `intervals` (s), shape `()` where they are all the same.
+    """The estimates after each interval, and the last state, from the held `u` and the `y`
+    at the ends of the `intervals` (s). Where these are all the same they are `None`, and
+    the `coefficients` of the observer's laws are given in their place.
 
     Under `jax.vmap` the logs, states and observers of a batch run beside each other. It has
     no derivative."""
     arrays, rest = eqx.partition(observer, eqx.is_array)
-    leaves, tree = jax.tree.flatten((arrays, state, u, y, intervals))
+    leaves, tree = jax.tree.flatten((arrays, state, u, y, intervals, coefficients))
     run = _Replay(rest, tree, [np.ndim(x) for x in leaves], substeps)
     if is_concrete(*leaves):
-        return jax.tree.map(jnp.asarray, run([np.asarray(x) for x in leaves]))
+        # Not `jnp.asarray`, which compiles a copy for every shape.
+        return jax.device_put(run([np.asarray(x) for x in leaves]))
     shapes = run.shapes([jax.ShapeDtypeStruct(jnp.shape(x), x.dtype) for x in leaves])
     return jax.pure_callback(run, shapes, leaves, vmap_method="broadcast_all")
 
@@ -49,18 +52,18 @@ class _Replay:
         self.rest, self.tree, self.ranks, self.substeps = rest, tree, ranks, substeps
 
     def shapes(self, leaves: list[Any]) -> Any:
-        arrays, state, u, y, intervals = jax.tree.unflatten(self.tree, leaves)
-        steps = jax.tree.leaves(y)[0].shape[0]
+        arrays, state, *signals, coefficients = jax.tree.unflatten(self.tree, leaves)
+        steps = jax.tree.leaves(signals[1])[0].shape[0]
         one = lambda s: jax.ShapeDtypeStruct(s.shape[1:], s.dtype)
-        h = one(intervals) if intervals.shape else intervals
-        signals = jax.tree.map(one, (u, y))
-        final, estimate = jax.eval_shape(self._advance, arrays, state, *signals, h)
+        now = jax.tree.map(one, signals)
+        final, estimate = jax.eval_shape(self._advance, arrays, state, *now, coefficients)
         whole = lambda s: jax.ShapeDtypeStruct((steps, *s.shape), s.dtype)
         return jax.tree.map(whole, estimate), final
 
-    def _advance(self, arrays, state, u, y, h):
+    def _advance(self, arrays, state, u, y, h, coefficients):
         observer = eqx.combine(arrays, self.rest)
-        coefficients = observer.allocate(y, u).discretise(h / self.substeps)
+        if h is not None:
+            coefficients = observer.allocate(y, u).discretise(h / self.substeps)
         return observer.advance(state, u, y, coefficients, substeps=self.substeps)
 
     def __call__(self, leaves: list[Any]) -> Any:
@@ -73,11 +76,10 @@ class _Replay:
         return jax.tree.map(back, (estimate, final))
 
     def _run(self, leaves: list[np.ndarray], lanes: int) -> Any:
-        arrays, state, u, y, intervals = jax.tree.unflatten(self.tree, leaves)
+        arrays, state, u, y, h, coefficients = jax.tree.unflatten(self.tree, leaves)
         steps = jax.tree.leaves(y)[0].shape[1]
-        signals = {"u": u, "y": y}
-        fixed = {"observer": arrays}
-        (signals if intervals.ndim > 1 else fixed)["h"] = intervals
+        signals = {"u": u, "y": y, "h": h}
+        fixed = {"observer": arrays, "coefficients": coefficients}
         kind = ("shared", "log") if lanes == 1 else ("lane", "lane log")
         if lanes == 1:
             fixed, signals = jax.tree.map(lambda x: np.asarray(x[0]), (fixed, signals))
@@ -90,10 +92,9 @@ class _Replay:
         inputs["lane"] = inputs.get("lane", {}) | {"state": state}
 
         def advance(k, state, inputs):
-            now = inputs[kind[1]]
-            h = (inputs[kind[0]] | now)["h"]
-            observer = inputs[kind[0]]["observer"]
-            return self._advance(observer, state, now["u"], now["y"], h)
+            of, now = inputs[kind[0]], inputs[kind[1]]
+            signals = now["u"], now["y"], now["h"]
+            return self._advance(of["observer"], state, *signals, of["coefficients"])
 
         bodies = Bodies(
             lambda inputs: (inputs["lane"]["state"], None),

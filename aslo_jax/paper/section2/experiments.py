@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ... import filters, random
+from ..._simulate import Simulation, simulate
 from ...completions import Repeat
 from ...disturbances import AbstractMemoryless, ParasiticLag, SampledNoise
 from ...filters import AbstractFilter, LowPass
@@ -31,7 +32,6 @@ from ...observers import (
 )
 from ...plants import IntegratorChain
 from ...realise import Pass
-from ...simulate import Simulation, simulate
 from ..batch import one_by_one
 
 RATES = (1.0, 2.5, 5.0, 10.0)  # lambda, and gamma_L, of figure 1 (rad/s)

@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 
+from ..._simulate import Simulation
 from ...observers import rotor_angle
-from ...simulate import Simulation
 from ..claims import Above, Below, Claim
 from . import machines as m, settings as s
 from .runs import Runs

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._simulate import Simulation, simulate
 from ...completions import LeastSquares
 from ...filters import LowPass
 from ...observers import BearingObserver, SelfConsistent
 from ...plants import WRIM, InteriorPMSM, MachineState, MagneticBearing, Stepper
-from ...simulate import Simulation, simulate
 from . import settings as s
 from .pmsm import tight
 from .prescribed import PrescribedBearing, PrescribedMachine

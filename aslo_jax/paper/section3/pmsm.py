@@ -16,6 +16,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ... import random
+from ..._replay import replay
+from ..._simulate import Simulation, simulate
 from ...completions import LeastSquares
 from ...control import FieldOriented, MotorFeedback
 from ...disturbances import SampledNoise
@@ -26,8 +28,6 @@ from ...plants import PMSM, MachineState
 from ...plants.pmsm import FluxRelation
 from ...realise import Pass
 from ...relations import swap
-from ...replay import replay
-from ...simulate import Simulation, simulate
 from ..batch import one_by_one
 from . import settings as s
 from .prescribed import PrescribedMachine
@@ -242,7 +242,7 @@ def fo1_growth(printed: s.Printed) -> np.ndarray:
 
     def one(gain):
         observer = printed.fo1(plant.flux_relation(), gain)
-        value = replay(observer, instants, record.u, record.y).value
+        value = replay(observer, instants, record.u, record.y, engine="scan").value
         error = jnp.linalg.norm(value - record.hidden, axis=1)
         return error[-1] / error[0]
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...simulate import Simulation
+from ..._simulate import Simulation
 from . import machines, pmsm
 from .settings import Printed
 

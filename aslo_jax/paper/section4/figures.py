@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...simulate import Simulation
+from ..._simulate import Simulation
 from ..drawing import STYLES, Figure
 from . import loops, settings as s
 from .runs import Runs

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...simulate import Simulation
+from ..._simulate import Simulation
 from ..claims import Above, Below, Claim, Near
 from . import loops, settings as s
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...simulate import Simulation
+from ..._simulate import Simulation
 from ..claims import Above, Below, Claim, Near
 from . import loops, settings as s
 

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..._simulate import Simulation, simulate
 from ...observers import AbstractObserver
 from ...plants import AbstractMechanicalSystem
-from ...simulate import Simulation, simulate
 from ...structure import structure_of
 from . import settings as s
 

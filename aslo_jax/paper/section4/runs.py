@@ -3,7 +3,7 @@
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
-from ...simulate import Simulation
+from ..._simulate import Simulation
 from . import loops, settings as s
 from .records import record
 from .tuning import CONTENDERS, Comparison, compare

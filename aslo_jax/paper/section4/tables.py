@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...simulate import Simulation
+from ..._simulate import Simulation
 from ..report import Table
 from . import loops, settings as s
 from .comparison_claims import best_differentiator, ratios

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._replay import replay
 from ...completions import Repeat
 from ...filters import AbstractFilter, LowPass, second_order
 from ...observers import (
@@ -26,7 +27,6 @@ from ...observers import (
     VelocityObserver,
 )
 from ...plants import AbstractMechanicalSystem
-from ...replay import replay
 from ...structure import Structure, structure_of
 from . import settings as s
 from .records import (
@@ -149,7 +149,7 @@ def replayer(mechanism: s.Mechanism, contender: Contender) -> Replay:
 
     def one(gains, system, u, y, velocity):
         observer = Unwrapped(contender.make(gains, system, form, y[0]), angles)
-        return replay(observer, INSTANTS, u, y).value - velocity
+        return replay(observer, INSTANTS, u, y, engine="scan").value - velocity
 
     return jax.jit(jax.vmap(one))
 

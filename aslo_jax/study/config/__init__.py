@@ -31,8 +31,8 @@ relative = true
 kind = "rms"
 """
 
+from ..._studies import NAMES as NAMES
 from .file import (
-    NAMES as NAMES,
     Configuration as Configuration,
     ConfigurationError as ConfigurationError,
     configure as configure,

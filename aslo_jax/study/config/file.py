@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
+from ..._studies import NAMES
 from ...experiment import Experiment
 from ...machines.base import Positive, Table, Whole, key
 from ..problem import MakeMetric
@@ -21,15 +22,6 @@ from .machines import Machine
 from .metrics import Metric
 from .observers import Observer
 from .spread import SpreadItem, parameter
-
-NAMES = (
-    "double_integrator",
-    "pmsm",
-    "wrim",
-    "robotic_leg",
-    "ball_beam",
-    "magnetic_bearing",
-)
 
 
 class ConfigurationError(ValueError):

@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..._runge_kutta import runge_kutta
 from ...observers import AlgebraicObserver, Asymptotic, BearingObserver, SideBySide
 from ...plants import (
     WRIM,
@@ -17,7 +18,6 @@ from ...plants import (
     SalientFluxRelation,
 )
 from ...relations import AbstractTerms, Quadratic, Rate
-from ...solvers import runge_kutta
 from .corrected import Corrected
 
 Relation = Callable[[Any, Any], AbstractTerms]

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._replay import replay
 from ...observers import Unwrapped, VelocityObserver
 from ...plants import AbstractMechanicalSystem
 from ...relations import Rate
-from ...replay import replay
 from . import start
 from .parameters import Parameters
 from .predict import (

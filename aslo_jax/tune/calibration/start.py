@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._checks import real
+from ..._replay import replay
 from ...filters import LowPass
 from ...guard import Guard
 from ...observers import AlgebraicObserver
 from ...relations import Quadratic, Rate
-from ...replay import replay
 from .parameters import Parameters
 from .predict import Relation, observers_of, relations_of, residual
 from .whiten import Signals

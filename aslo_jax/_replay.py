@@ -1,5 +1,7 @@
 """Running an observer over a recorded log."""
 
+import importlib.util
+import warnings
 from typing import Any
 
 import equinox as eqx
@@ -10,6 +12,10 @@ from jaxtyping import Array, ArrayLike, PyTree
 
 from ._checks import is_concrete, real
 from .observers import AbstractObserver, ObserverState
+
+ENGINES = ("auto", "fused", "scan")
+PIECE = 1 << 20  # instants looked at at once
+Checked = tuple[Any, PyTree, PyTree, Any]  # the first instant (s), u, y, and intervals (s)
 
 
 def replay(
@@ -41,23 +47,26 @@ def replay(
     - `return_state`: return `(estimate, state)`;
     - `max_gap`: refuse a log with a longer interval (s);
     - `engine`: `"scan"` is one `jax.lax.scan`; `"fused"` compiles the loop to machine code
-      (the extra `study`), many times faster, without derivatives; `jax.vmap` runs many
-      logs beside each other in it.
+      (the extra `cli` or `study`), many times faster, without derivatives; `jax.vmap` runs
+      many logs beside each other in it. `"auto"` is `"fused"` where that extra is installed
+      and no argument is traced by a transformation of JAX, so that derivatives and
+      `jax.jit` are as with `"scan"`; an observer that cannot be compiled runs by `"scan"`,
+      with a warning that says why.
 
     Intervals equal to within rounding share their coefficients, computed once; otherwise
     each interval has its own. Compiled once for each structure of observer and log.
 
     **Returns:** an [`Estimate`][] whose leaves have a leading axis of length `N`.
-    Differentiable with `engine="scan"`; `jax.vmap` maps it over logs, initial states and
+    Differentiable unless `engine="fused"`; `jax.vmap` maps it over logs, initial states and
     parameters.
 
     **Raises:** `ValueError` (or, under `jax.jit`, an error from `eqx.error_if`) for
     shapes that differ, a sample that is not finite, time that does not increase, or a gap
     above `max_gap`; [`NotFusible`][] for an observer that the fused engine cannot compile.
     """
-    if engine not in ("scan", "fused"):
+    if engine not in ENGINES:
         raise ValueError(
-            f'Argument `engine` must be "scan" or "fused", but got {engine!r}.'
+            f'Argument `engine` must be "auto", "fused" or "scan", but got {engine!r}.'
         )
     u, y = _signal("u", u), _signal("y", y)
     # Concrete instants keep the precision they came with until intervals are taken: JAX's
@@ -65,7 +74,7 @@ def replay(
     instants = np.asarray(t) if is_concrete(t) else jnp.asarray(t)
     _check_shapes(instants, u, y)
     instants = _check_time(instants, max_gap)
-    interval = _common_interval(instants)
+    interval = common_interval(instants)
     u, y = _check_finite("u", u), _check_finite("y", y)
     if interval is None:
         xp = np if is_concrete(instants) else jnp
@@ -73,15 +82,45 @@ def replay(
     else:
         intervals, common = None, real(interval)
     log = real(instants[0]), u, y, intervals
-    run = _run if engine == "scan" else _run_fused
-    estimate, final = run(observer, log, common, substeps, state)
+    estimate, final = run_log(observer, log, common, substeps, state, engine)
     return (estimate, final) if return_state else estimate
+
+
+def run_log(
+    observer: AbstractObserver,
+    log: Checked,
+    common: Any,
+    substeps: int,
+    state: ObserverState | None,
+    engine: str,
+) -> tuple[Any, ObserverState]:
+    """[`replay`][] of a `log` that has been checked: its first instant, u, y, and its
+    intervals (s) where they have no length in `common`."""
+    if engine == "auto" and not _may_fuse((observer, log, common, state)):
+        engine = "scan"
+    if engine == "scan":
+        return _run(observer, log, common, substeps, state)
+    from .engines.frontend.lower import NotFusible
+
+    try:
+        return _run_fused(observer, log, common, substeps, state)
+    except NotFusible as error:
+        if engine == "fused":
+            raise
+        warnings.warn(f'Running with engine="scan". {error}', stacklevel=3)
+        return _run(observer, log, common, substeps, state)
+
+
+def _may_fuse(arguments: PyTree) -> bool:
+    """Whether nothing is traced, and LLVM is there."""
+    concrete = is_concrete(*jax.tree.leaves(arguments))
+    return concrete and importlib.util.find_spec("llvmlite") is not None
 
 
 @eqx.filter_jit
 def _run(
     observer: AbstractObserver,
-    log: tuple[Array, PyTree, PyTree, Array | None],
+    log: Checked,
     common: Array | None,
     substeps: int,
     state: ObserverState | None,
@@ -107,28 +146,40 @@ def _run(
 
 def _run_fused(
     observer: AbstractObserver,
-    log: tuple[Array, PyTree, PyTree, Array | None],
-    common: Array | None,
+    log: Checked,
+    common: Any,
     substeps: int,
     state: ObserverState | None,
 ) -> tuple[Any, ObserverState]:
     from .engines.fused.replay import replay_fused  # which needs an extra
 
     t0, u, y, intervals = log
-    state, first = _begun(observer, t0, u, y, state)
+    # NumPy cuts and joins what can be read; XLA would compile a program for each.
+    read = is_concrete(*jax.tree.leaves((observer, log, common, state)))
+    xp = np if read else jnp
+    u, y = jax.tree.map(xp.asarray, (u, y))
+    u0, y0 = jax.tree.map(lambda s: s[0], (u, y))
+    interval = None if common is None else common / substeps
+    state, first, coefficients = _begun(observer, t0, u0, y0, state, interval)
     held, sampled = jax.tree.map(lambda s: s[:-1], u), jax.tree.map(lambda s: s[1:], y)
-    lengths = common if intervals is None else intervals
-    assert lengths is not None and state is not None
-    rest, final = replay_fused(observer, state, held, sampled, lengths, substeps)
-    estimate = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest)
-    return estimate, final
+    assert state is not None
+    rest, final = replay_fused(
+        observer, state, held, sampled, intervals, coefficients, substeps
+    )
+
+    def joined(a: Any, b: Any) -> Any:
+        return xp.concatenate([xp.asarray(a)[None], xp.asarray(b)])
+
+    estimate = jax.tree.map(joined, first, rest)
+    return (jax.device_put(estimate) if read else estimate), final
 
 
 @eqx.filter_jit
-def _begun(observer, t0, u, y, state):
-    u0, y0 = jax.tree.map(lambda s: s[0], (u, y))
-    state = observer.init(y0, u0) if state is None else state
-    return state, observer.estimate(t0, state, u0, y0)
+def _begun(observer, t0, u, y, state, interval):
+    """The state to begin with, its estimate, and the coefficients for an `interval` (s)."""
+    state = observer.init(y, u) if state is None else state
+    laws = None if interval is None else observer.allocate(y, u).discretise(interval)
+    return state, observer.estimate(t0, state, u, y), laws
 
 
 def _signal(name: str, signal: PyTree) -> PyTree:
@@ -162,14 +213,19 @@ def _check_shapes(t: Array | np.ndarray, u: PyTree, y: PyTree) -> None:
                 )
 
 
-def _common_interval(t: Any) -> float | None:
+def common_interval(t: Any) -> float | None:
     """The interval of evenly spaced instants, or `None` where they are uneven or traced."""
     if not is_concrete(t):
         return None
-    even = np.linspace(t[0], t[-1], t.size, dtype=t.dtype)
-    rounding = 4 * np.finfo(t.dtype).eps * np.abs(t).max() if t.dtype.kind == "f" else 0
+    largest = max(abs(t[0]), abs(t[-1]))  # it increases
+    rounding = 4 * np.finfo(t.dtype).eps * largest if t.dtype.kind == "f" else 0
     interval = float(t[-1] - t[0]) / (t.size - 1)
-    return interval if interval > 0 and np.abs(t - even).max() <= rounding else None
+    for first in range(0, t.size, PIECE):  # a long log is not held several times
+        piece = t[first : first + PIECE]
+        even = t[0] + interval * np.arange(first, first + piece.size)
+        if not np.abs(piece - even.astype(t.dtype)).max() <= rounding:
+            return None
+    return interval if interval > 0 else None
 
 
 def _check_time(t: Any, max_gap: float | None) -> Any:
