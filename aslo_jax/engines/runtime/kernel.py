@@ -19,7 +19,8 @@ SMALL, BRIEF = 1e-3, 5e-2
 class Kernel:
     def __init__(self, step: Step):
         self.loop, self.width = step.body.loop, step.width
-        self._once, self._each = len(self.loop.needed()), len(step.usual.events)
+        self._once = len(self.loop.needed())
+        self._each = max(len(way.events) for way in step.ways)
         self._function = compiled(emit(step), step.target.features)
 
     def __call__(
