@@ -375,7 +375,7 @@ def test_sent_to_another_process():
 # ---- the other engine --------------------------------------------------------------------
 
 
-def broken(*_):
+def broken(*_, **__):
     raise KeyError("unknown")
 
 
