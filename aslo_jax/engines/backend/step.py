@@ -213,5 +213,7 @@ def chosen(loop: Loop, widths: Sequence[int], target: Target) -> Step:
         if best is not None and best.cycles <= step.cycles:
             break  # with more lanes still it is slower still
         best = step
+        if step.instructions() > target.decoded:
+            break  # as many again for every further register, and as long to compile
     assert best is not None, "there is a width"
     return best

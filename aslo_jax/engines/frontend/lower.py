@@ -58,8 +58,16 @@ def check_numbers(tree: PyTree, what: str) -> None:
 def unusual(*shaped: Any) -> str | None:
     """The type of one of some arrays, their shapes or tracers, if a graph lacks it: halves,
     complex numbers, typed random keys."""
-    kinds = (str(x.dtype) for x in shaped if hasattr(x, "dtype"))
-    return next((kind for kind in kinds if kind not in NUMBERS), None)
+    for x in shaped:
+        dtype = getattr(x, "dtype", None)
+        if dtype is not None and _is_unusual(dtype):
+            return str(dtype)
+    return None
+
+
+@functools.cache
+def _is_unusual(dtype: Any) -> bool:
+    return str(dtype) not in NUMBERS
 
 
 def _is_extended(dtype: Any) -> bool:
