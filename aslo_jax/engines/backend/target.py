@@ -35,8 +35,9 @@ class Target(NamedTuple):
 # What is estimated with these picks, of the widths and of the two orders of a step, those
 # that run fastest or within 3 % of it: of the motor's loop, quiet, with noise, with three
 # and ten observers and with derivatives, and of the other plants of the benchmark
-# `systems`. AVX-512: measured on Zen 4, which takes two halves of a register one after the
-# other. AVX2: orders on Zen 3, and all again on Zen 4 without its AVX-512.
+# `systems`, but for the WRIM on AVX2, 15 % slower for the sake of Zen 3 (below). AVX-512:
+# measured on Zen 4, which takes two halves of a register one after the other. AVX2: orders
+# on Zen 3, and all again on Zen 4 without its AVX-512.
 #
 # More than 2,400 instructions: the loop with five observers takes 2,430 for eight lanes in
 # one order and 2,040 in the other, which runs 1.8 times as fast on Zen 3. Zen 4 has room
