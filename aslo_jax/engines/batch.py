@@ -198,8 +198,7 @@ def run_batch(
 @eqx.filter_jit
 def _scanned(plan: Plan, samples: PyTree, steps: int, every: int) -> Batch:
     def one(sample):
-        state, first = plan.first(sample)
-        prepared = plan.prepared(sample)
+        state, first, prepared = plan.begun(sample)
 
         def block(state, k):
             def quiet(j, state):

@@ -19,8 +19,7 @@ def checkpointed(plan: Plan, samples: PyTree, steps: int) -> PyTree:
     size = math.isqrt(steps)
 
     def one(sample):
-        state, _ = plan.first(sample)
-        prepared = plan.prepared(sample)
+        state, _, prepared = plan.begun(sample)
 
         def step(state, k):
             return plan.step(k, state, sample, prepared)[0], None

@@ -80,12 +80,11 @@ class Fused:
     def program(self) -> Program:
         """The loop, traced when it is first asked for, and compiled when first called."""
 
-        def advance(k, state, inputs):
-            sample = self.made(inputs["lane"])
-            return self.plan.step(k, state, sample, self.plan.prepared(sample))
+        def advance(k, state, inputs, prepared):
+            return self.plan.step(k, state, self.made(inputs["lane"]), prepared)
 
         bodies = Bodies(
-            lambda inputs: self.plan.first(self.made(inputs["lane"])),
+            lambda inputs: self.plan.begun(self.made(inputs["lane"])),
             advance,
             lambda state, inputs: self.plan.results(state),
         )

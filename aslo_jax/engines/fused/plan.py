@@ -31,15 +31,21 @@ class Plan(eqx.Module):
     record: Callable[[Record], PyTree] | None
 
     def first(self, sample: PyTree) -> tuple[PyTree, PyTree]:
-        carry, record = self.make(sample).init()
-        metrics = {name: m.init(record) for name, m in self.metrics.items()}
-        return (carry, metrics), self._kept(record)
+        state, kept, _ = self.begun(sample)
+        return state, kept
 
     def prepared(self, sample: PyTree) -> PyTree:
         """What depends on the sample only."""
+        *_, prepared = self.begun(sample)
+        return prepared
+
+    def begun(self, sample: PyTree) -> tuple[PyTree, PyTree, PyTree]:
+        """The first state, what is kept of its record, and what depends on the sample
+        only, by one start of the experiment."""
         experiment = self.make(sample)
-        carry, _ = experiment.init()
-        return experiment.prepare(carry)
+        carry, record = experiment.init()
+        metrics = {name: m.init(record) for name, m in self.metrics.items()}
+        return (carry, metrics), self._kept(record), experiment.prepare(carry)
 
     def step(
         self, k: Any, state: PyTree, sample: PyTree, prepared: PyTree

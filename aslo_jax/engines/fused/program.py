@@ -42,10 +42,12 @@ class Bodies(NamedTuple):
     `inputs` are trees by kind: `shared` by all lanes, one for each `lane`, one for each
     step (`log`), or for both (`lane log`); only `advance` has the logs. `first` is a record
     of what is before the first step, or None.
+
+    What `begin` returns besides is for all steps: a further argument of `advance`.
     """
 
-    begin: Callable[[dict[str, PyTree]], tuple[PyTree, PyTree]]
-    advance: Callable[[Any, PyTree, dict[str, PyTree]], tuple[PyTree, PyTree]]
+    begin: Callable[[dict[str, PyTree]], tuple[PyTree, ...]]
+    advance: Callable[..., tuple[PyTree, PyTree]]
     finish: Callable[[PyTree, dict[str, PyTree]], PyTree]
 
 
@@ -66,9 +68,9 @@ def trace(bodies: Bodies, inputs: dict[str, PyTree]) -> Traced:
     make = functools.partial(jax.make_jaxpr, return_shape=True)
     fixed = constant_in_time(inputs)
     check_numbers(inputs, "the samples or the logs have")
-    begin, (carry, first) = make(bodies.begin)(fixed)
+    begin, (carry, first, *kept) = make(bodies.begin)(fixed)
     check_numbers(carry, "the state of the loop has")
-    advance, (after, record) = make(bodies.advance)(_step(), carry, inputs)
+    advance, (after, record) = make(bodies.advance)(_step(), carry, inputs, *kept)
     finish, final = make(bodies.finish)(carry, fixed)
     check_numbers((first, record, final), "a result has")
     check_numbers(after, "the state of the loop has after a step")
@@ -182,7 +184,8 @@ class Program:
         given = Inputs(traced.carry, inputs)
         graph, size = given.graph, len(given.carry)
         begin = flatten(graph, traced.begin, given.fixed)
-        arguments = [given.step, *given.carry, *given.all]
+        end = size + len(jax.tree.leaves(traced.first))
+        arguments = [given.step, *given.carry, *given.all, *begin[end:]]
         advance = flatten(graph, traced.advance, arguments)
         finish = flatten(graph, traced.finish, [*given.carry, *given.fixed])
         loop = Loop(
@@ -190,7 +193,7 @@ class Program:
             flat(begin[:size]),
             flat(advance[:size]),
             record=flat(advance[size:]),
-            first=flat(begin[size:]),
+            first=flat(begin[size:end]),
             final=flat(finish),
             branches=tuple(graph.branches),
         )
