@@ -55,6 +55,11 @@ _SIGNATURE = ctypes.CFUNCTYPE(
 )
 
 
+# Of a longer text LLVM optimises less: that of fifty observers is compiled in 1.3 s in place
+# of 2.8 s, runs as fast, since its plan of registers is in the text, and gives the same bits.
+LONG = 1_000_000  # characters
+
+
 @functools.lru_cache(maxsize=128)
 def compiled(text: str, features: str = "") -> Callable[..., None]:
     """The machine code of a kernel, with further features of LLVM (`Target`); the engine
@@ -65,7 +70,7 @@ def compiled(text: str, features: str = "") -> Callable[..., None]:
     machine = machine_target().create_target_machine(
         cpu=llvm.get_host_cpu_name(),
         features=",".join(filter(None, (own, features))),
-        opt=3,
+        opt=3 if len(text) < LONG else 1,
         jit=True,
     )
     engine = llvm.create_mcjit_compiler(module, machine)
