@@ -159,7 +159,9 @@ def test_a_study_is_compiled_when_it_runs(monkeypatch):
     also where it was sent to."""
     compiled, compile_it = [], kernel.compiled
     monkeypatch.setattr(
-        kernel, "compiled", lambda text: compiled.append(text) or compile_it(text)
+        kernel,
+        "compiled",
+        lambda text, *more: compiled.append(text) or compile_it(text, *more),
     )
     study = study_of(samples=3 * BLOCK)
     sent = cloudpickle.loads(cloudpickle.dumps(study))
