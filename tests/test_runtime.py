@@ -372,6 +372,27 @@ def test_sent_to_another_process():
     np.testing.assert_allclose(record[0][:, -1], turned(GAINS, 200), rtol=1e-10)
 
 
+def test_derivatives_are_not_sent_to_another_process():
+    sent = pickle.loads(pickle.dumps(runner()))
+    np.testing.assert_allclose(last(sent(GAINS)), turned(GAINS, 200), rtol=1e-10)
+    with pytest.raises(NotImplementedError, match="sent to another process has values"):
+        jax.jvp(lambda x: sent(x).record[0], (GAINS,), (GAINS,))
+
+
+@pytest.mark.parametrize("lanes", [0, 3])
+def test_no_batches_of_lanes(lanes):
+    """Further axes may be empty, of values and of tangents, as with the other engine."""
+    x, none = jnp.ones(lanes), jnp.ones((0, lanes))
+    for run in (runner(), runner(engine="scan")):
+        values = lambda x, run=run: run(x).record[0]
+        pushed = lambda x, rate, f=values: jax.jvp(f, (x,), (rate,))
+        assert jax.vmap(values)(none).shape == (0, lanes, 2)
+        _, tangent = jax.vmap(pushed)(none, none)
+        assert tangent.shape == (0, lanes, 2)
+        _, tangent = jax.vmap(pushed, (None, 0))(x, none)
+        assert tangent.shape == (0, lanes, 2)
+
+
 # ---- the other engine --------------------------------------------------------------------
 
 
