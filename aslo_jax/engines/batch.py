@@ -210,7 +210,7 @@ def _scanned(plan: Plan, samples: PyTree, steps: int, every: int) -> Batch:
             return plan.step(k + every - 1, state, sample, prepared)
 
         state, rest = jax.lax.scan(block, state, jnp.arange(0, steps, every))
-        join = lambda a, b: jnp.concatenate([a[None], b])
+        join = lambda a, b: jnp.concatenate([jnp.asarray(a)[None], b])
         return Batch(plan.results(state), jax.tree.map(join, first, rest))
 
     return jax.vmap(one)(samples)

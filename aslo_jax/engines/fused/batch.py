@@ -89,7 +89,12 @@ class Fused:
             advance,
             lambda state, inputs: self.plan.results(state),
         )
-        return Program.of(bodies, {"lane": self.sample}, widths())
+        program = Program.of(bodies, {"lane": self.sample}, widths())
+        if jax.tree.leaves(program.record) and not program.raw.first:
+            raise ValueError(
+                "`record` must return as much at t = 0 as later, but got None."
+            )
+        return program
 
     def _run(self, leaves: list[Any]) -> Batch:
         leaves = [np.asarray(x) for x in leaves]
