@@ -260,6 +260,21 @@ def test_linear_algebra():
             np.testing.assert_allclose(a[5:], b[5:], 1e-12, 1e-12, err_msg=name)
 
 
+def test_factors_before_what_is_not_a_number():
+    """The rows of a factor above an entry that is not a number are those without it, and
+    those of LAPACK; of the others, nothing from its column on."""
+    A = np.stack([gram(x) for x in RNG.normal(size=(3, 4, 4))])
+    expected = np.linalg.cholesky(A)
+    for k, (i, j) in enumerate([(3, 1), (2, 2), (0, 0)]):
+        A[k, i, j] = np.nan
+        expected[k, i, j:] = np.nan
+        expected[k, i + 1 :, i:] = np.nan
+    expected = np.tril(expected)
+    function = lambda A: jax.lax.linalg.cholesky(A, symmetrize_input=False)
+    found = fused({"L": function}, (A,))["L"]
+    np.testing.assert_allclose(found, expected, 1e-12, 1e-12)
+
+
 def test_systems_of_one_row():
     names = ("solve", "inverse", "det", "slogdet", "cholesky", "triangular")
     inputs = systems(1), RNG.normal(size=(8, 1))

@@ -2,6 +2,7 @@
 same as by JAX, for any width, wherever they are in a loop over time."""
 
 import pickle
+import threading
 
 import jax
 import jax.numpy as jnp
@@ -295,3 +296,27 @@ def test_sent_to_another_process():
     again = pickle.loads(pickle.dumps(program))
     both = again({"lane": OWN}, LANES, 4)
     jax.tree.map(np.testing.assert_array_equal, found, both)
+
+
+def test_more_memory_than_a_thread_has_stack():
+    """Weights of 64 units in 16 lanes take twice the stack that this thread has."""
+    weights, start = RNG.normal(size=(LANES, 64, 64)) / 8, RNG.normal(size=(LANES, 64))
+    program, found, expected = run(
+        lambda w: w["x"],
+        lambda s, w: jnp.tanh(w["w"] @ s),
+        lambda s: s,
+        {"w": weights, "x": start},
+        widths=(16,),
+    )
+    agree(found, expected)
+    again = []
+    before = threading.stack_size(1 << 18)
+    try:
+        given = {"lane": {"w": weights, "x": start}}
+        work = lambda: again.append(program(given, LANES, 4, threads=1)[1])
+        thread = threading.Thread(target=work)
+        thread.start()
+    finally:
+        threading.stack_size(before)
+    thread.join()
+    np.testing.assert_array_equal(again[0], found[1])

@@ -32,7 +32,8 @@ class Runner:
     Called with samples, every leaf with a leading axis of length N, it returns a
     [`Batch`][]. `engine` tells which one it is, `shapes` what one sample gives: the leaves
     of a batch without that axis and, in the record, without that of time. Sent to another
-    process, it is not traced again, but compiled there.
+    process, it is not traced again, but compiled there; with the engine `"fused"` it has
+    no derivatives there.
 
     Samples take the types of `like`; real numbers are rounded where those are shorter.
 
@@ -208,7 +209,7 @@ def _scanned(plan: Plan, samples: PyTree, steps: int, every: int) -> Batch:
             return plan.step(k + every - 1, state, sample, prepared)
 
         state, rest = jax.lax.scan(block, state, jnp.arange(0, steps, every))
-        join = lambda a, b: jnp.concatenate([a[None], b])
+        join = lambda a, b: jnp.concatenate([jnp.asarray(a)[None], b])
         return Batch(plan.results(state), jax.tree.map(join, first, rest))
 
     return jax.vmap(one)(samples)

@@ -102,7 +102,8 @@ def _permutation(graph, equation, pivots):
 
 def _cholesky(graph, equation, a):
     """Of what is on and below the diagonal. No number at all where the matrix is not
-    positive definite."""
+    positive definite; where an entry is not a number, none from its row on, as from
+    LAPACK, to which a pivot that is not a number is none below zero."""
     _bearable(*a.shape[-2:])
     dtype = equation.outvars[0].aval.dtype
     out = np.full(a.shape, graph.const(0, dtype), np.int64)
@@ -111,8 +112,8 @@ def _cholesky(graph, equation, a):
         L, definite = out[at], graph.const(True, bool)
         for j in range(a.shape[-1]):
             pivot = _without(graph, int(a[at][j, j]), [(x, x) for x in L[j, :j]])
-            positive = graph.op("gt", pivot, graph.const(0, dtype))
-            definite = graph.op("and", definite, positive)
+            negative = graph.op("le", pivot, graph.const(0, dtype))
+            definite = graph.op("and", definite, graph.op("not", negative))
             L[j, j] = graph.op("sqrt", pivot)
             inverse = _inverse(graph, int(L[j, j]))
             for i in range(j + 1, a.shape[-1]):

@@ -25,7 +25,14 @@ PUBLIC = (
     (("random",), "jax.random", jax.random),
     (("lax", "linalg"), "jax.lax.linalg", jax.lax.linalg),
     (("lax",), "jax.lax", jax.lax),
+    (("callback",), "jax", jax),
 )
+# Functions that are public by another name than their own.
+RENAMED = {
+    "debug_callback": "jax.debug.callback",
+    "debug_print": "jax.debug.print",
+    "io_callback": "jax.experimental.io_callback",
+}
 UPDATES = ("set", "add", "subtract", "multiply", "divide", "power", "min", "max", "apply")
 
 
@@ -53,7 +60,8 @@ def _of(module: Any) -> str:
 LIBRARY = _folder(Path(__file__).parents[2])
 JAX = _of(jax)
 SITE = tuple(_folder(sysconfig.get_path(kind)) for kind in ("purelib", "platlib"))
-FOREIGN = (JAX, _of(equinox), _of(jaxtyping), _of(np))
+EQUINOX = _of(equinox)
+FOREIGN = (JAX, EQUINOX, _of(jaxtyping), _of(np))
 STANDARD = _folder(sysconfig.get_path("stdlib"))
 TYPED = ("<stdin>", "<ipython")  # what people type has no file
 
@@ -69,12 +77,16 @@ def is_foreign(file: str) -> bool:
 
 
 def public(name: str, file: str) -> str:
-    """The public name of a function that a file of JAX defines, if it has one."""
+    """The public name of a function of a file of JAX or Equinox, if it has one."""
     path = _plain(file)
+    name = name.rpartition(".")[2].lstrip("_")
+    if path.startswith(EQUINOX) and name == "error_if":
+        return "eqx.error_if"
     if not path.startswith(JAX):
         return ""
     parts = Path(path[len(JAX) :]).with_suffix("").parts
-    name = name.rpartition(".")[2].lstrip("_")
+    if name in RENAMED:
+        return RENAMED[name]
     if parts[-1] == "array_methods" and name in UPDATES:
         return f".at[...].{name}"
     for wanted, module, where in PUBLIC:

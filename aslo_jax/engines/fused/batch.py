@@ -88,7 +88,12 @@ class Fused:
             advance,
             lambda state, inputs: self.plan.results(state),
         )
-        return Program.of(bodies, {"lane": self.sample}, widths())
+        program = Program.of(bodies, {"lane": self.sample}, widths())
+        if jax.tree.leaves(program.record) and not program.raw.first:
+            raise ValueError(
+                "`record` must return as much at t = 0 as later, but got None."
+            )
+        return program
 
     def _run(self, leaves: list[Any]) -> Batch:
         leaves = [np.asarray(x) for x in leaves]
@@ -148,6 +153,9 @@ class Fused:
 
         @values.def_vmap
         def batched(size, axes, leaves):
+            if not size:
+                shapes = self._shapes(_length(leaves, axes[0]))
+                return _nothing(shapes), jax.tree.map(lambda _: True, shapes)
             out = values(_more(leaves, axes[0], size, 0))
             out = jax.tree.map(lambda x: _fewer(x, size, 0), out)
             return out, jax.tree.map(lambda _: True, out)
@@ -160,6 +168,11 @@ class Fused:
 
         Further axes are more lanes, or more directions where only the tangents have them:
         the results do not have them either then."""
+        if self.plan is None:
+            raise NotImplementedError(
+                "A runner of the fused engine that was sent to another process has values "
+                'only: there, make it anew for derivatives, or with engine="scan".'
+            )
         push = Derivative(self.plan, self.made, self.sample, self.program, moved)
         push.program(1, widths())  # what cannot be compiled is refused here
 
@@ -174,16 +187,21 @@ class Fused:
             kept = (np.moveaxis(x, 2, 0) for x in record_rates)
             return Batch(final, record), [*rates, *kept]
 
+        def shapes(lanes, directions):
+            values = self._shapes(lanes)
+            real = [s for s in jax.tree.leaves(values) if is_real(s)]
+            return values, wide(real, directions)
+
         @jax.custom_batching.custom_vmap
         def beside(leaves, rates):
-            shapes = self._shapes(len(leaves[0]))
-            real = [s for s in jax.tree.leaves(shapes) if is_real(s)]
-            return jax.pure_callback(
-                run, (shapes, wide(real, len(rates[0]))), leaves, rates
-            )
+            expected = shapes(len(leaves[0]), len(rates[0]))
+            return jax.pure_callback(run, expected, leaves, rates)
 
         @beside.def_vmap
         def batched(size, axes, leaves, rates):
+            if not size:
+                given = shapes(_length(leaves, axes[0]), _length(rates, axes[1]))
+                return _nothing(given), jax.tree.map(lambda _: True, given)
             lanes = any(axes[0])
             if lanes:
                 leaves = _more(leaves, axes[0], size, 0)
@@ -224,6 +242,16 @@ def _more(arrays: list[Any], batched: list[bool], size: int, axis: int) -> list[
         return x.reshape(*x.shape[:axis], size * x.shape[axis + 1], *x.shape[axis + 2 :])
 
     return [folded(x, has) for x, has in zip(arrays, batched, strict=True)]
+
+
+def _length(arrays: list[Any], batched: list[bool]) -> int:
+    """Of the first axis of arrays, a new leading one not counted."""
+    return arrays[0].shape[int(batched[0])]
+
+
+def _nothing(shapes: PyTree) -> PyTree:
+    """For each of no entries of a new leading axis."""
+    return jax.tree.map(lambda s: jnp.zeros((0, *s.shape), s.dtype), shapes)
 
 
 def _fewer(x: Any, size: int, axis: int) -> Any:

@@ -12,7 +12,7 @@ from jaxtyping import PyTree
 
 from ..backend.step import Body, Step, chosen
 from ..backend.target import Target
-from ..frontend.lower import check_numbers, flatten
+from ..frontend.lower import NotFusible, check_numbers, flatten
 from ..ir.graph import Graph
 from ..ir.loop import Loop, varying
 from ..passes import optimised
@@ -75,11 +75,31 @@ def trace(bodies: Bodies, inputs: dict[str, PyTree]) -> Traced:
     check_numbers((first, record, final), "a result has")
     check_numbers(after, "the state of the loop has after a step")
     if _shapes(after) != _shapes(carry):
-        raise ValueError(
-            "The carry of a loop must keep its shapes and types, but a step makes "
-            f"{_shapes(after)} of {_shapes(carry)}."
+        raise NotFusible(
+            "The fused engine needs a state that keeps its shapes and types, but a step "
+            f'makes {_named(after)} of {_named(carry)}. Use engine="scan", or begin with '
+            "the former."
         )
+    if first is not None:
+        _check_records(first, record)
     return Traced(begin, advance, finish, carry, first, record, final)
+
+
+def _check_records(first: PyTree, later: PyTree) -> None:
+    """That both kinds are rows of the same columns.
+
+    **Raises:** `ValueError`, or [`NotFusible`][] for other types."""
+    both = _named(first), _named(later)
+    seen = f"but that at t = 0 has {both[0]}, and later ones have {both[1]}"
+    if jax.tree.structure(first) != jax.tree.structure(later) or (
+        [shape for shape, _ in both[0]] != [shape for shape, _ in both[1]]
+    ):
+        raise ValueError(f"All records must have the same structure and shapes, {seen}.")
+    if both[0] != both[1]:
+        raise NotFusible(
+            f"The fused engine keeps records of the same types only, {seen}. "
+            'Use engine="scan", or convert one of them.'
+        )
 
 
 def constant_in_time(inputs: dict[str, PyTree]) -> dict[str, PyTree]:
@@ -263,6 +283,10 @@ def _columns(loop: Loop, numbers: Sequence[int], *axes: int) -> list[np.ndarray]
 
 def _shapes(tree: PyTree) -> list[tuple[tuple[int, ...], np.dtype]]:
     return [(leaf.shape, np.dtype(leaf.dtype)) for leaf in jax.tree.leaves(tree)]
+
+
+def _named(tree: PyTree) -> list[tuple[tuple[int, ...], str]]:
+    return [(shape, str(dtype)) for shape, dtype in _shapes(tree)]
 
 
 def _numbered(graph: Graph, kind: str, tree: PyTree) -> list[np.ndarray]:

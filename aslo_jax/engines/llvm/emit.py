@@ -8,6 +8,8 @@ for want of registers. Hence a step takes turns with several pointers to the fra
 LLVM does not know that they are the same.
 """
 
+from typing import NamedTuple
+
 from ..backend.step import Step
 from ..ir.loop import Slot
 from .layout import POINTERS, Layout
@@ -15,17 +17,30 @@ from .switching import WAYS, Condition, branch
 from .values import Values
 from .vectors import Vectors
 
+# Bytes of a frame that a kernel puts on the stack of its thread, a quarter of the smallest
+# stack of a thread in use.
+STACK = 1 << 17
+ALIGNED = 64  # bytes: the longest register
 
-def emit(step: Step) -> str:
-    """The text of a kernel whose loop has that step: `void kernel(i64 first, i64 last, i64
-    lanes, ptr steps, i64 every, ptr table)`.
+
+class Emitted(NamedTuple):
+    """The text of a kernel, and how many bytes of memory it must be handed, if any."""
+
+    text: str
+    memory: int
+
+
+def emit(step: Step) -> Emitted:
+    """A kernel whose loop has that step: `void kernel(i64 first, i64 last, i64 lanes, ptr
+    steps, i64 every, ptr table, ptr memory)`.
 
     It runs the lanes first to last - 1 of `lanes`, all three multiples of the step's width,
     through `*steps` steps, read anew before each of them: a negative number that another
     thread writes there ends the run. `table` holds one pointer for each of the loop's
-    slots.
+    slots. `memory` is for the frame where that is larger than what is left to the stack,
+    begins at a multiple of 64 and is one for each call.
     """
-    return _Kernel(step).text()
+    return _Kernel(step).emitted()
 
 
 class _Kernel:
@@ -48,12 +63,20 @@ class _Kernel:
 
     # -- blocks --------------------------------------------------------------------------
 
-    def text(self) -> str:
+    def emitted(self) -> Emitted:
         self._entry()
         self._begin()
         self._advance()
         self._finish()
+        size = max(self.layout.frame.size, 1)
+        if size <= STACK:
+            return Emitted(self._text(f"alloca [{size} x i8], align {ALIGNED}"), 0)
+        return Emitted(self._text("getelementptr i8, ptr %given, i64 0"), size)
+
+    def _text(self, memory: str) -> str:
+        """With the instruction that finds the frame."""
         arguments = "i64 %first, i64 %last, i64 %lanes, ptr %limit, i64 %every"
+        arguments += f", ptr noalias %table, ptr noalias align {ALIGNED} %given"
         wide = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
         # Of 1/sqrt(x) an estimate, with a step of Newton's method, is none at x = 0.
         wide += ' "reciprocal-estimates"="none"'
@@ -61,9 +84,9 @@ class _Kernel:
             [
                 *(definition for _, definition in self.out.tables.values()),
                 *self.groups.definitions,
-                f"define void @kernel({arguments}, ptr noalias %table) #0 {{",
+                f"define void @kernel({arguments}) #0 {{",
                 "entry:",
-                f"  %memory = alloca [{max(self.layout.frame.size, 1)} x i8], align 64",
+                f"  %memory = {memory}",
                 *self.out.lines,
                 "}",
                 *sorted(self.out.declarations),

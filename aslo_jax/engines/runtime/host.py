@@ -51,7 +51,7 @@ _SIGNATURE = ctypes.CFUNCTYPE(
     *[ctypes.c_int64] * 3,
     ctypes.c_void_p,
     ctypes.c_int64,
-    ctypes.c_void_p,
+    *[ctypes.c_void_p] * 2,
 )
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..backend.step import Step
-from ..llvm.emit import emit
+from ..llvm.emit import ALIGNED, emit
 from .host import compiled
 from .threads import Run, Span
 
@@ -21,7 +21,8 @@ class Kernel:
         self.loop, self.width = step.body.loop, step.width
         self._once = len(self.loop.needed())
         self._each = max(len(way.events) for way in step.ways)
-        self._function = compiled(emit(step), step.target.features)
+        text, self._memory = emit(step)
+        self._function = compiled(text, step.target.features)
 
     def __call__(
         self,
@@ -41,7 +42,8 @@ class Kernel:
 
         # The machine code has their addresses only: whoever may still run it keeps them.
         def work(span: Span, limit: int, _held: Any = (table, columns)) -> None:
-            self._function(*span, lanes, limit, every, address)
+            memory = _aligned(self._memory)
+            self._function(*span, lanes, limit, every, address, memory.ctypes.data)
 
         most = lanes // self.width * (self._once + steps * self._each) * SLOW
         threads = max(min(threads, int(most / SMALL)), 1)
@@ -57,3 +59,11 @@ class Kernel:
             found.append((first * self.width, (first + size) * self.width))
             first += size
         return found
+
+
+def _aligned(size: int) -> np.ndarray:
+    """Memory that is not on the stack, which is too short for what every lane has of a
+    large network; from the operating system, and not touched before it is used."""
+    whole = np.empty(size + ALIGNED if size else 0, np.uint8)
+    first = -whole.ctypes.data % ALIGNED
+    return whole[first : first + size]
