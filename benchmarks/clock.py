@@ -3,14 +3,13 @@
 import time
 from typing import Any
 
-CHAIN, LATENCY = (
-    400,
-    3,
-)  # products of whole numbers; cycles of each on every x86-64 since 2008
+# Products of whole numbers; cycles of each on every x86-64 since 2008.
+CHAIN, LATENCY = 400, 3
 ROUNDS = 200_000
 # Each product needs the one before it.
 TEXT = (
-    "define void @kernel(i64 %seed, i64 %n, i64 %a, i64 %b, i64 %c, ptr %out) {\n"
+    "define void @kernel("
+    "i64 %seed, i64 %n, i64 %a, ptr %b, i64 %c, ptr %out, ptr %d) {\n"
     "entry:\n  br label %loop\nloop:\n"
     "  %k = phi i64 [ 0, %entry ], [ %next, %loop ]\n"
     f"  %x0 = phi i64 [ %seed, %entry ], [ %x{CHAIN}, %loop ]\n"
@@ -31,7 +30,7 @@ def hertz() -> float:
     best = float("inf")
     for _ in range(3):
         start = time.perf_counter()
-        run(3, ROUNDS, 0, 0, 0, ctypes.addressof(out))
+        run(3, ROUNDS, 0, None, 0, ctypes.addressof(out), None)
         best = min(best, time.perf_counter() - start)
     return CHAIN * ROUNDS * LATENCY / best
 
