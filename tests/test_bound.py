@@ -1,5 +1,7 @@
 """The Cramer-Rao bound against Kalman, Riccati, a plain loop, and observers that run."""
 
+from fractions import Fraction
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -125,6 +127,60 @@ class Growth(AbstractPlant):
 
     def hidden(self, x):
         return x
+
+
+class Lopsided(AbstractPlant):
+    """`x' = A x`, of which `C x` is measured, without any symmetry."""
+
+    A = np.array([[-0.5, 2.0, 0.25], [-1.0, 0.125, 3.0], [0.75, -0.25, -1.5]])
+    C = np.array([[1.0, -0.5, 0.0], [0.25, 1.0, 2.0]])
+
+    def initial(self):
+        return jnp.zeros(3)
+
+    def vector_field(self, t, x, u):
+        return jnp.asarray(self.A) @ x
+
+    def output(self, x):
+        return jnp.asarray(self.C) @ x
+
+    def hidden(self, x):
+        return x
+
+
+def test_a_vague_prior_beside_a_good_sensor_against_fractions():
+    """The recursion as it is printed, in rational numbers: a prior half a million times
+    as wide as the sensors, of which double precision must not lose the square."""
+    h, prior, sensor, rate, steps = 0.125, 64.0, np.array([2.0**-13, 2.0**-14]), 0.25, 6
+
+    def make(sample):
+        control = OpenLoop(lambda t: 0.0 * t)
+        return aslo.Experiment(Lopsided(), control, {}, h, initial=sample)
+
+    found = cramer_rao(
+        make, np.zeros((2, 3)), steps, prior=prior, noise=sensor, process=jnp.full(3, rate)
+    )
+    exact = np.vectorize(Fraction, otypes=[object])
+    one, A, C = exact(np.eye(3)), exact(Lopsided.A * h), exact(Lopsided.C)
+    F = one + A @ (one + A @ (one + A @ (one + A / 4) / 3) / 2)  # Runge and Kutta's
+    information = C.T @ np.diag(1 / exact(sensor) ** 2) @ C
+    Q = exact(h * rate**2 * np.eye(3))
+
+    def inverse(M):
+        M = np.concatenate([M, one], axis=1)
+        for i in range(3):  # definite: no pivot is zero
+            M[i] = M[i] / M[i, i]
+            for j in set(range(3)) - {i}:
+                M[j] = M[j] - M[j, i] * M[i]
+        return M[:, 3:]
+
+    J = exact(np.eye(3) / prior**2) + information
+    expected = [np.diag(inverse(J))]
+    for _ in range(steps):
+        J = inverse(F @ inverse(J) @ F.T + Q) + information
+        expected.append(np.diag(inverse(J)))
+    expected = np.broadcast_to(np.array(expected, float), (2, steps + 1, 3))
+    np.testing.assert_allclose(found.variance, expected, rtol=1e-9)
 
 
 STARTS = np.array([-0.9, 0.1, 0.3, 1.4])

@@ -33,6 +33,7 @@ def save_figure(path: Path, trace: Trace, summary: Summary, title: str) -> None:
     From the top: close-ups of what turns; its error, or where there is no truth how
     consistent it is; what does not turn, over the whole log; certificates."""
     figures = require("matplotlib.figure", "cli,plot")
+    layouts = require("matplotlib.layout_engine", "cli,plot")
     machine, view = summary.machine, trace.whole(summary)
     turning = [q for q in machine.quantities if q.turns]
     others = [q for q in machine.quantities if not (q.turns or q.angle)]
@@ -42,8 +43,7 @@ def save_figure(path: Path, trace: Trace, summary: Summary, title: str) -> None:
         "certificate",
     ]
     closeups = [[f"{q.name} {end}" for end in ("start", "end")] for q in turning]
-    figure = figures.Figure(figsize=(10, 2 * len(wide) + 2.6 * len(turning) + 1))
-    figure.set_layout_engine("constrained")
+    figure = figures.Figure((10, 2 * len(wide) + 2.6 * len(turning) + 1), dpi=130)
     axes = figure.subplot_mosaic(
         [*closeups, *([name, name] for name in wide)],
         height_ratios=[1.3] * len(turning) + [1.0] * len(wide),
@@ -67,8 +67,10 @@ def save_figure(path: Path, trace: Trace, summary: Summary, title: str) -> None:
     for axis in axes.values():
         axis.grid(alpha=0.3)
     axes["certificate"].set_xlabel("time (s)")
+    # Once, here: with an engine of its own a figure is drawn twice to be saved.
+    layouts.ConstrainedLayoutEngine().execute(figure)
     # The Agg, PDF or SVG canvas is chosen by the suffix; no window is opened.
-    figure.savefig(path, dpi=130)
+    figure.savefig(path, dpi="figure")
 
 
 def _draw(

@@ -1,5 +1,7 @@
 """The Cramer-Rao bound: how well any observer could do on the noisy samples of a study."""
 
+import dataclasses
+import importlib.util
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -12,8 +14,10 @@ from jaxtyping import Array, Float, PyTree
 
 from .._runge_kutta import runge_kutta
 from ..disturbances import AbstractDisturbance, SampledNoise
-from ..experiment import Carry, Experiment
+from ..engines import run_batch
+from ..experiment import Carry, Experiment, Record
 from . import statistics
+from .tables import BOUND
 
 Square = Float[Array, "n n"]
 
@@ -86,11 +90,14 @@ def cramer_rao(
     With `x[k+1] = f(x[k], u[k]) + w`, `y[k] = h(x[k]) + v`, F and H the Jacobians, Q and R
     the covariances, the inverse J of the bound P obeys
     `J[k+1] = (F J[k]^-1 F' + Q)^-1 + H'R^-1 H`, which holds for singular Q, zero included;
-    it is computed in P, so that what is known exactly stays so. `"information"` holds for
-    every observer, however biased, but needs noise on every state: without, it is zero as
-    soon as F differs between trajectories. `"bounds"` is never smaller, and is what is
-    attained where the noise is small; along one trajectory it is the bound of unbiased
-    observers. Both are the covariance of the Kalman filter where the plant is linear.
+    it is computed in P, so that what is known exactly stays so. `"bounds"` is run by
+    [`run_batch`][], on its fused engine where llvmlite is installed.
+
+    `"information"` holds for every observer, however biased, but needs noise on every
+    state: without, it is zero as soon as F differs between trajectories. `"bounds"` is
+    never smaller, and is what is attained where the noise is small; along one trajectory it
+    is the bound of unbiased observers. Both are the covariance of the Kalman filter where
+    the plant is linear.
 
     Sources: Tichavsky, Muravchik, Nehorai 1998, doi:10.1109/78.668800; Taylor 1979,
     doi:10.1109/TAC.1979.1101979, for the bound along a trajectory.
@@ -109,12 +116,15 @@ def cramer_rao(
         )
     samples = jax.tree.map(jnp.asarray, samples)
     model = _Model(make, prior, process, noise)
-    t, variance, definite = _run(model, samples, steps, average == "information")
-    if average == "information" and not bool(definite):
-        raise ValueError(
-            'Argument `average` must be "bounds" where some state has no noise, but got '
-            '"information"; or give `process` for every state.'
-        )
+    if average == "information":
+        t, variance, definite = _together(model, samples, steps)
+        if not bool(definite):
+            raise ValueError(
+                'Argument `average` must be "bounds" where some state has no noise, but '
+                'got "information"; or give `process` for every state.'
+            )
+    else:
+        t, variance = _each(model, samples, steps)
     return Bound(np.asarray(t), np.asarray(variance))
 
 
@@ -139,13 +149,12 @@ class _Model(eqx.Module):
     process: PyTree | None
     noise: Any
 
-    def first(self, sample: PyTree) -> tuple[Carry, dict[str, PyTree], Square]:
-        experiment = self.make(sample)
-        carry, _ = experiment.init()
-        return carry, experiment.prepare(carry), jnp.diag(_flat(self.prior, carry.x) ** 2)
+    def first(self, sample: PyTree) -> tuple[Carry, Record, Square]:
+        carry, record = self.make(sample).init()
+        return carry, record, jnp.diag(_flat(self.prior, carry.x) ** 2)
 
     def onward(self, sample: PyTree, carry: Carry, prepared: Any, k: Any):
-        """The next carry, F and Q."""
+        """The next carry and record, F and Q."""
         experiment = self.make(sample)
         x, back = ravel_pytree(carry.x)
         u, held = ravel_pytree(carry.command)
@@ -164,10 +173,10 @@ class _Model(eqx.Module):
         Q = (G * unknown) @ G.T
         if self.process is not None:
             Q = Q + h * jnp.diag(_flat(self.process, carry.x) ** 2)
-        return experiment.advance(k, carry, prepared)[0], F, Q
+        return *experiment.advance(k, carry, prepared), F, Q
 
     def measured(self, sample: PyTree, carry: Carry):
-        """`H'R^-1 H`, and the Jacobian of what is hidden."""
+        """The rows of `R^-1/2 H`, and the Jacobian of what is hidden."""
         plant, sensor = self.make(sample).plant, self.make(sample).sensor
         x, back = ravel_pytree(carry.x)
         output = lambda x: ravel_pytree(plant.output(back(x)))[0]
@@ -181,41 +190,92 @@ class _Model(eqx.Module):
             R = _variance(sensor, plant.output(carry.x))
         else:
             R = _flat(self.noise, plant.output(carry.x)) ** 2
-        return (H.T / R) @ H, C
+        return H / jnp.sqrt(R)[:, None], C
+
+
+class _Along(eqx.Module):
+    """The bound along the trajectory of one sample, as an experiment that an engine runs:
+    its carry is the experiment's and P, its record the variances of what is hidden."""
+
+    model: _Model
+    sample: PyTree
+
+    def init(self) -> tuple[tuple[Carry, Square], Record]:
+        return self._measured(*self.model.first(self.sample))
+
+    def prepare(self, carry: tuple[Carry, Square]) -> dict[str, PyTree]:
+        return self.model.make(self.sample).prepare(carry[0])
+
+    def advance(self, k: Any, carry: tuple[Carry, Square], prepared: dict[str, PyTree]):
+        before, P = carry
+        after, record, F, Q = self.model.onward(self.sample, before, prepared, k)
+        return self._measured(after, record, _symmetric(F @ P @ F.T + Q))
+
+    def _measured(self, carry: Carry, record: Record, P: Square):
+        rows, C = self.model.measured(self.sample, carry)
+        P = _known(P, rows)
+        variance = jnp.sum((C @ P) * C, axis=1)
+        return (carry, P), dataclasses.replace(record, estimates={BOUND: variance})
+
+
+def _each(model: _Model, samples: PyTree, steps: int):
+    """The instants, and the variances along each trajectory."""
+    make: Any = lambda sample: _Along(model, sample)
+    engine = "auto" if importlib.util.find_spec("llvmlite") else "scan"
+    kept = lambda record: (record.t, record.estimates[BOUND])
+    batch = run_batch(make, samples, steps, record=kept, every=1, engine=engine)
+    t, variance = batch.record
+    return t[0], variance
+
+
+def _known(P: Square, rows: Float[Array, "p n"]) -> Square:
+    """`(P^-1 + rows' rows)^-1`, for a singular P too: one measurement of unit variance
+    after the other, in Joseph's form. It is arithmetic alone, and what is small in P is as
+    accurate as what is large, where `(1 + P rows' rows)^-1 P` loses the square of the
+    ratio of what was known to what is measured."""
+    for row in rows:
+        g = P @ row
+        gain = g / (1.0 + row @ g)
+        P = P - jnp.outer(gain, g)
+        P = _symmetric(P + jnp.outer(gain - P @ row, gain))
+    return P
+
+
+def _symmetric(P: Square) -> Square:
+    """Of the upper triangle, so that the lower one need not be computed."""
+    n = P.shape[0]
+    return jnp.where(np.tri(n, k=-1, dtype=bool), P.T, P)
 
 
 @eqx.filter_jit
-def _run(model: _Model, samples: PyTree, steps: int, inside: bool):
-    carries, prepared, P = jax.vmap(model.first)(samples)
-    information, C = jax.vmap(model.measured)(samples, carries)
-    if inside:
-        P, information = P.mean(0, keepdims=True), information.mean(0, keepdims=True)
+def _together(model: _Model, samples: PyTree, steps: int):
+    """The instants, the variances with expectations inside the recursion, and whether Q is
+    definite."""
+    carries, begin, P = jax.vmap(model.first)(samples)
+    prepared = jax.vmap(lambda s, carry: model.make(s).prepare(carry))(samples, carries)
 
-    def seen(C, P):
-        C = C.mean(0, keepdims=True) if inside else C
-        return jnp.einsum("nij,njk,nik->ni", C, P, C)
-
-    P = jax.vmap(_added)(P, information)
-    first = seen(C, P)
+    def measured(carries, P):
+        rows, C = jax.vmap(model.measured)(samples, carries)
+        P = _added(P, jnp.einsum("npi,npj->ij", rows, rows) / rows.shape[0])
+        C = C.mean(0)
+        return P, jnp.sum((C @ P) * C, axis=1)
 
     def step(state, k):
         carries, P = state
-        carries, F, Q = jax.vmap(model.onward, (0, 0, 0, None))(
+        carries, record, F, Q = jax.vmap(model.onward, (0, 0, 0, None))(
             samples, carries, prepared, k
         )
-        information, C = jax.vmap(model.measured)(samples, carries)
-        definite = jnp.asarray(True)
-        if inside:
-            F, Q, known, definite = _expected(F, Q)
-            P, information = _added(P[0], known)[None], information.mean(0, keepdims=True)
-        P = jax.vmap(lambda P, F, Q: F @ P @ F.T + Q)(P, F, Q)
-        P = jax.vmap(_added)(P, information)
-        return (carries, P), (seen(C, P), definite)
+        F, Q, known, definite = _expected(F, Q)
+        P = F @ _added(P, known) @ F.T + Q
+        P, variance = measured(carries, P)
+        return (carries, P), (record.t[0], variance, definite)
 
-    _, (rest, definite) = jax.lax.scan(step, (carries, P), jnp.arange(steps))
-    variance = jnp.concatenate([first[:, None], jnp.swapaxes(rest, 0, 1)], axis=1)
-    interval = model.make(jax.tree.map(lambda x: x[0], samples)).interval
-    return jnp.arange(steps + 1) * interval, variance, definite.all()
+    P, variance = measured(carries, P.mean(0))
+    first = begin.t[0], variance, jnp.asarray(True)
+    _, rest = jax.lax.scan(step, (carries, P), jnp.arange(steps))
+    join = lambda a, b: jnp.concatenate([a[None], b])
+    t, variance, definite = jax.tree.map(join, first, rest)
+    return t, variance[None], definite.all()
 
 
 def _added(P: Square, information: Square) -> Square:
@@ -239,7 +299,7 @@ def _expected(F: Float[Array, "N n n"], Q: Float[Array, "N n n"]):
     # The mean of squares about the mean: the difference of D11 would cancel.
     apart = F - expected
     known = (jnp.swapaxes(apart, 1, 2) @ inverse @ apart).mean(0)
-    return expected[None], mean[None], known, definite
+    return expected, mean, known, definite
 
 
 def _noises(part: AbstractDisturbance | None) -> list[SampledNoise]:

@@ -34,6 +34,8 @@ _SETTINGS: dict[Any, Any] = {
     "lines.linewidth": 1.4,
     "legend.frameon": False,
     "svg.hashsalt": "aslo_jax",
+    "figure.autolayout": False,
+    "figure.constrained_layout.use": False,
 }
 _TALL = 20.0  # beyond this ratio an axis is logarithmic
 _WIDTH = 7.2  # inch: the text width of a page of A4
@@ -56,17 +58,19 @@ class Figure:
         import matplotlib
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure as Canvas
+        from matplotlib.layout_engine import ConstrainedLayoutEngine
 
         found = {}
         with matplotlib.rc_context(_SETTINGS):
-            canvas = Canvas(figsize=(_WIDTH, self.height), layout="constrained")
+            canvas = Canvas(figsize=(_WIDTH, self.height), dpi=150)
             FigureCanvasAgg(canvas)
             self.draw(canvas)
+            # Once, here: with an engine of its own a figure is drawn twice to be saved.
+            ConstrainedLayoutEngine().execute(canvas)
             for kind, dated in (("png", "Software"), ("svg", "Date")):
                 out = io.BytesIO()
-                canvas.savefig(out, dpi=150, format=kind, metadata={dated: None})
+                canvas.savefig(out, dpi="figure", format=kind, metadata={dated: None})
                 found[kind] = out.getvalue()
-                canvas.set_layout_engine("none")  # what was laid out stays where it is
         return found
 
 
