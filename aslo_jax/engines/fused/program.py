@@ -1,9 +1,11 @@
 """A loop over time, traced, compiled, and run over lanes by several threads."""
 
+import contextlib
 import functools
+import gc
 import os
 import threading
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -30,6 +32,19 @@ if hasattr(os, "register_at_fork"):
         after_in_parent=_COMPILING.release,
         after_in_child=_COMPILING.release,
     )
+
+
+@contextlib.contextmanager
+def uncollected() -> Iterator[None]:
+    """Without Python's search for cycles: tracing and rewriting make millions of objects,
+    which it looks through again and again, and hardly a cycle."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 class Bodies(NamedTuple):
@@ -161,7 +176,7 @@ class Program:
     @functools.cached_property
     def loop(self) -> Loop:
         """The one that is compiled."""
-        with _COMPILING:
+        with _COMPILING, uncollected():
             return optimised(self.raw, without=self.without)
 
     @functools.cached_property
@@ -178,7 +193,7 @@ class Program:
 
     def compile(self) -> None:
         """Now, where this has not been done."""
-        with _COMPILING:
+        with _COMPILING, uncollected():
             self._kernels  # noqa: B018
 
     @functools.cached_property
@@ -191,6 +206,7 @@ class Program:
         return self._step.width
 
     @classmethod
+    @uncollected()
     def of(
         cls,
         bodies: Bodies,

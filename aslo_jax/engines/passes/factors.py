@@ -23,6 +23,7 @@ from .terms import Terms
 LINEAR = {"add", "sub", "mul", "div", "neg", "abs", "select"}
 # Operations whose result jumps.
 JUMPING = {*COMPARISONS, "floor", "ceil", "rint", "convert"}
+LONG = 4_000  # instructions of a step, of which no further rewriting is tried
 TRIALS = 8  # of entries that the next step multiplies, each of which takes a rewriting
 
 
@@ -30,7 +31,8 @@ def factored(loop: Loop) -> Loop:
     """The loop with the same results, and fewer instructions in a step."""
     wanted: dict[int, int] = {}
     best = _settled(loop, wanted)
-    for trial in best.multiplied()[:TRIALS]:
+    trials = best.multiplied()[:TRIALS] if best.operations < LONG else []
+    for trial in trials:
         other = _settled(loop, wanted | trial)
         if other.operations < best.operations:
             best, wanted = other, wanted | trial
