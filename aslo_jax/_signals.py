@@ -4,6 +4,7 @@
 and leave an estimate that is wrong and certified.
 """
 
+import functools
 import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -15,6 +16,7 @@ from jaxtyping import Array, PyTree
 Shape = tuple[int | None, ...]  # a size that is not known is None
 
 
+@functools.cache  # every pass over the equations asks
 def declared(function: Callable[..., Any]) -> dict[str, Shape]:
     """The shapes that the annotations of a function give its arguments `u` and `y`."""
     found: dict[str, Shape] = {}

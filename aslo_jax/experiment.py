@@ -191,8 +191,8 @@ class Experiment(eqx.Module):
 
 def _alike(u: PyTree, other: PyTree) -> bool:
     """Whether two inputs differ in their values only."""
-    kind = lambda tree: jax.tree.map(lambda x: (jnp.shape(x), jnp.result_type(x)), tree)
-    return kind(u) == kind(other)
+    types = lambda tree: jax.tree.map(lambda x: (jnp.shape(x), jnp.result_type(x)), tree)
+    return types(u) == types(other)
 
 
 def _at_samples(

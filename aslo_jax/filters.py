@@ -9,14 +9,14 @@ axis of length one.
 
 import abc
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from ._checks import optional_real, positive, real, stable
+from ._checks import kind, optional_real, positive, real, stable
 from ._small import exponential_integrals
 
 
@@ -81,6 +81,11 @@ class AbstractFilter(AbstractLaw):
     @abc.abstractmethod
     def equilibrium(self, s: Float[Array, "..."] | float) -> Array:
         """`-A^-1 B s`: the state at which a constant signal `s` has settled."""
+
+
+def check_filter(filter: Any) -> None:
+    """Refuse what is no filter, a rate for instance."""
+    kind("filter", filter, AbstractFilter, hint="a filter such as `LowPass(20.0)`")
 
 
 class _Hold(NamedTuple):

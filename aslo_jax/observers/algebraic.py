@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, PyTree
 
 from .._checks import kind, known_start, optional_real
 from ..completions import AbstractCompletion, LeastSquares
-from ..filters import AbstractFilter
+from ..filters import AbstractFilter, check_filter
 from ..guard import Guard
 from ..realise import Pass
 from ..relations import AbstractTerms, terms_of
@@ -44,8 +44,7 @@ class AlgebraicObserver(AbstractObserver):
         known_start(self.start)
         if not callable(self.relation):
             kind("relation", self.relation, hint="a relation, `relation(u, y)`")
-        law = "a filter such as `LowPass(20.0)`"
-        kind("filter", self.filter, AbstractFilter, hint=law)
+        check_filter(self.filter)
         kind("completion", self.completion, AbstractCompletion, hint="a completion")
         kind("guard", self.guard, Guard, hint="a `Guard` or `None`")
 

@@ -4,10 +4,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from .._checks import kind, known_start, optional_real, real
+from .._checks import known_start, optional_real, real
 from .._small import safe_reciprocal
 from ..completions import AbstractCompletion, LeastSquares
-from ..filters import AbstractFilter
+from ..filters import AbstractFilter, check_filter
 from ..guard import Guard
 from ..plants.pmsm import FluxRelation
 from ..realise import Pass
@@ -96,8 +96,7 @@ class AlgebraicMagnet(AbstractObserver):
 
     def __check_init__(self):
         known_start(self.start)
-        law = "a filter such as `LowPass(20.0)`"
-        kind("filter", self.filter, AbstractFilter, hint=law)
+        check_filter(self.filter)
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
         F = F.using(self.filter, self.start)

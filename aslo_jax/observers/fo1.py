@@ -6,8 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import kind, known_start, optional_real, positive, real
-from ..filters import AbstractFilter, AbstractLaw
+from .._checks import known_start, optional_real, positive, real
+from ..filters import AbstractFilter, AbstractLaw, check_filter
 from ..plants.pmsm import FluxRelation
 from ..realise import Pass
 from ._relaxation import relaxation
@@ -79,8 +79,7 @@ class FO1(AbstractObserver):
     def __check_init__(self):
         positive("gain", self.gain, "s/Wb^2")
         known_start(self.start)
-        law = "a filter such as `LowPass(20.0)`"
-        kind("filter", self.filter, AbstractFilter, hint=law)
+        check_filter(self.filter)
 
     def regression(
         self, F: Pass, u: Float[Array, " 2"], y: Float[Array, " 2"]

@@ -7,9 +7,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from .._checks import kind, known_start, optional_real, positive, real
+from .._checks import known_start, optional_real, positive, real
 from .._small import safe_reciprocal, solve_rows
-from ..filters import AbstractFilter, AbstractLaw
+from ..filters import AbstractFilter, AbstractLaw, check_filter
 from ..guard import Guard
 from ..realise import Pass
 from ..relations import AbstractTerms, swap, terms_of
@@ -77,8 +77,7 @@ class FO3(AbstractObserver):
     def __check_init__(self):
         positive("gain", self.gain, "1/s over the square of the determinant")
         known_start(self.start)
-        law = "a filter such as `LowPass(20.0)`"
-        kind("filter", self.filter, AbstractFilter, hint=law)
+        check_filter(self.filter)
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
         F = F.using(self.filter, self.start)
