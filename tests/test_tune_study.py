@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from aslo_jax._toml_text import rewritten
 from aslo_jax.cli.app import app
 from aslo_jax.cli.tune import compared
+from aslo_jax.described import changed, tune_study
+from aslo_jax.schema.toml_text import rewritten
 from aslo_jax.study.config import NAMES
-from aslo_jax.tune.configured import changed, tune_study
 
 pytest.importorskip("llvmlite")
 TEXT = (files("aslo_jax.study") / "configs" / "double_integrator.toml").read_text("utf-8")

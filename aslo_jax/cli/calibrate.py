@@ -65,9 +65,9 @@ def calibrate(
     """
     double_precision()
     from .._checks import positive
+    from ..described import calibrate_machine, calibrated_text, values_of
     from ..logs import read_log
     from ..machines import read_machine
-    from ..machines.calibrated import calibrate_machine, rewritten, values_of
 
     positive("--resolution", resolution)
     if cutoff is not None:
@@ -98,7 +98,7 @@ def calibrate(
             else (lambda text: typer.echo(text, err=True)),
         )
         values = values_of(description, found)
-        text = rewritten(machine.read_text(encoding="utf-8"), values)
+        text = calibrated_text(machine.read_text(encoding="utf-8"), values)
         parts[0].write_text(text, encoding="utf-8")
         if plot:
             _draw(parts[1], log.name, recorded, description, read_machine(parts[0]))

@@ -11,7 +11,7 @@ from .options import BeforeAndAfter, QuietTable, double_precision
 from .outputs import refuse_overlap, staged
 
 if TYPE_CHECKING:
-    from ..tune.configured import Tuned
+    from ..described import Tuned
 
 
 def tune(
@@ -48,11 +48,10 @@ def tune(
     the values that were found; comments and settings stay.
     """
     double_precision()
-    from .._toml_text import rewritten
+    from ..described import calibrate_study, changed, machine_of, tune_study
     from ..logs import read_log
-    from ..machines.file import KINDS
+    from ..schema.toml_text import rewritten
     from ..study.config import configure
-    from ..tune.configured import calibrate_study, changed, tune_study
 
     if out.suffix.lower() != ".toml":
         raise ValueError(f"--out must be a .toml file, but is {out}.")
@@ -71,7 +70,7 @@ def tune(
         configure(content)
         values: dict = {}
         if log is not None:
-            signals = KINDS[content["machine"]["kind"]].layout.signals
+            signals = machine_of(content).signals
             found, values = calibrate_study(
                 content, read_log(log, signals, truth=False), progress=say
             )

@@ -1,14 +1,12 @@
-"""Signals of time in a study's file."""
+"""Signals of time in a file: loads, references, supplies."""
 
 from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
 from pydantic import Field
 
-from ...machines.base import Positive, Table, key
-from ..signals import Supply, Wave
-
-Numbers = float | Annotated[list[float], Field(min_length=1)]
+from ..control.signals import Supply, Wave
+from .table import Numbers, Positive, Table, key
 
 
 class WaveTable(Table):
