@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..logs import Log, Signals
+from ..plants import AbstractRoundMachine
 from ..schema import NoLoad, NonNegative, Numbers, Positive, Table, WaveTable, key
 from . import keys
 from .base import (
@@ -134,8 +135,7 @@ M = TypeVar("M", bound=Table)
 
 class AbstractRoundMotor(AbstractDescription[M, MotorObserver], abc.ABC, Generic[M]):
     """A motor with a magnet and no saliency: flux, angle and speed from voltages and
-    currents. `[machine]` has `resistance`, `inductance` and `pole_pairs`, the plant a
-    `flux_relation` and a `magnet_flux`."""
+    currents. `[machine]` has the keys `resistance`, `inductance` and `pole_pairs`."""
 
     observer: MotorObserver = MotorObserver()
 
@@ -145,7 +145,7 @@ class AbstractRoundMotor(AbstractDescription[M, MotorObserver], abc.ABC, Generic
     longest_interval = LONGEST_INTERVAL
 
     @abc.abstractmethod
-    def plant(self) -> Any:
+    def plant(self) -> AbstractRoundMachine:
         """The motor described by `[machine]`."""
 
     def default_rates(self, log, stated):
