@@ -1,6 +1,7 @@
 """The gains of a study's file, tuned: in Python, and by the command, in the same file."""
 
 import copy
+import re
 import tomllib
 from importlib.resources import files
 
@@ -66,6 +67,25 @@ def test_only_the_values_change():
     )
     with pytest.raises(ValueError, match="must stand on one line each"):
         rewritten("[x]\na = [\n 1.0]\n", {"x": {"a": [2.0]}})
+
+
+def test_tables_may_be_written_in_any_way():
+    """Inline, dotted, in an inline array, before another one's part; after a byte mark."""
+    text = (
+        "\ufeffm = {kind = 'a', r = 1.0} # m\ns = [{k = 1.0}, {k = 2.0}]\nz.q = 1.5 # z\n"
+        "[x]\na = 1e3   # a\n[y]\nb = 1\n[x.'s t']\nc = 2\n"
+    )
+    values = {"m": {"r": 2.0}, "s.1": {"k": 4.0}, "z": {"q": 2.5}}
+    values |= {"x": {"a": 7.0, "n": 1.0}, "x.s t": {"c": 3, "d": 4}}
+    assert rewritten(text, values) == (
+        "\ufeffm = {kind = 'a', r = 2.0} # m\ns = [{k = 1.0}, {k = 4.0}]\nz.q = 2.5  # z\n"
+        "[x]\na = 7.0   # a\nn = 1.0\n[y]\nb = 1\n[x.'s t']\nd = 4\nc = 3\n"
+    )
+    for wrong in ({"w": {"a": 1.0}}, {"s.2": {"k": 1.0}}, {"x.t": {"k": 1.0}}):
+        with pytest.raises(
+            ValueError, match=r"The file must have a table `[a-z0-9.]+` for"
+        ):
+            rewritten(text, wrong)
 
 
 @pytest.mark.parametrize("name", NAMES)

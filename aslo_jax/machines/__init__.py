@@ -17,7 +17,7 @@ that is special about its machines: columns, keys and thresholds, the observer, 
 calibrated, and how they take part in studies.
 """
 
-from . import offers as offers
+from . import motor as motor, offers as offers
 from .ball_beam import BallBeamDescription as BallBeamDescription
 from .base import (
     AbstractDescription as AbstractDescription,

@@ -88,7 +88,7 @@ def driving(log: Log, resistance: float) -> Log:
 def motor_rates(log: Log | None, stated: Mapping[str, float]) -> Rates:
     """The rates of a motor's observer that are not `stated`, from a log of [`driving`][].
 
-    The loop is sampled by Heun's method, which wants its bandwidth below half of the
+    The loop is sampled by Heun's method, which needs its bandwidth below half of the
     sampling rate: the default gives way to that, a stated bandwidth is refused."""
     rates: Rates = {}
     interval = 0.0 if log is None else float(np.median(np.diff(log.t)))

@@ -59,7 +59,7 @@ class WRIMObserver(Table):
     """`[observer]` of a wound-rotor induction machine, all optional.
 
     Fluxes turn at the frequency of the supply in the stator's frame and at that of the slip
-    in the rotor's, hence a cutoff each.
+    in the rotor's, so each has a cutoff.
     """
 
     cutoff: Positive | None = keys.cutoff("from the log, for each winding")

@@ -36,7 +36,10 @@ class AbstractStudyTable(Table, abc.ABC):
     interval: Positive = key("between samples in time", "s")
     horizon: Positive = key("how long a trajectory is", "s")
     plant_steps: Whole = key("Runge-Kutta steps in each interval", default=1)
-    every: Whole | None = key("keep the error of every so many samples", default=None)
+    every: Whole | None = key(
+        "keep the error of one in this many samples",
+        default=None,
+    )
     scale: list[Positive] | None = key(
         "what each entry of the error is divided by in its norm", default=None
     )
