@@ -81,11 +81,9 @@ def test_tables_may_be_written_in_any_way():
         "\ufeffm = {kind = 'a', r = 2.0} # m\ns = [{k = 1.0}, {k = 4.0}]\nz.q = 2.5  # z\n"
         "[x]\na = 7.0   # a\nn = 1.0\n[y]\nb = 1\n[x.'s t']\nd = 4\nc = 3\n"
     )
-    for wrong in ({"w": {"a": 1.0}}, {"s.2": {"k": 1.0}}, {"x.t": {"k": 1.0}}):
-        with pytest.raises(
-            ValueError, match=r"The file must have a table `[a-z0-9.]+` for"
-        ):
-            rewritten(text, wrong)
+    for wrong in ("w", "s.2", "x.t"):
+        with pytest.raises(ValueError, match=f"must have a table `{re.escape(wrong)}` for"):
+            rewritten(text, {wrong: {"a": 1.0}})
 
 
 @pytest.mark.parametrize("name", NAMES)
