@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from aslo_jax.cli import main
 from aslo_jax.cli.app import app
 from aslo_jax.cli.tune import compared
 from aslo_jax.described import changed, tune_study
@@ -128,3 +129,12 @@ def test_the_command_writes_the_same_file_with_its_gains(tmp_path, tuned):
     expected["observers"]["A-ASLO"] = gains
     assert new == expected
     assert (tmp_path / "tuned.png").stat().st_size > 5_000
+
+
+def test_a_file_that_is_not_toml_is_refused_by_name(tmp_path, capsys):
+    path = tmp_path / "study.toml"
+    path.write_text("title =")
+    with pytest.raises(SystemExit) as left:
+        main(["tune", str(path), "--out", str(tmp_path / "new.toml")])
+    assert left.value.code == 2
+    assert f"{path} is not valid TOML: " in capsys.readouterr().err

@@ -1,6 +1,5 @@
 """`aslo-jax tune`: the gains of a study's observers, tuned by gradients."""
 
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -50,6 +49,7 @@ def tune(
     double_precision()
     from ..described import calibrate_study, changed, machine_of, tune_study
     from ..logs import read_log
+    from ..schema import read_toml
     from ..schema.toml_text import rewritten
     from ..study.config import configure
 
@@ -66,7 +66,7 @@ def tune(
     say = (lambda text: None) if quiet else (lambda text: typer.echo(text, err=True))
     with staged(*outputs.values()) as parts:
         text = config.read_text(encoding="utf-8")
-        content = tomllib.loads(text.lstrip("\ufeff"))
+        content = read_toml(config)
         configure(content)
         values: dict = {}
         if log is not None:

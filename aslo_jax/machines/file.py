@@ -1,13 +1,12 @@
 """TOML files of machine descriptions: read, explained, and written as templates."""
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from ..schema import choices, explain, hint, template_lines, unknown_key
+from ..schema import choices, explain, hint, read_toml, template_lines, unknown_key
 from .base import AbstractDescription, MachineError
 from .registry import KINDS as KINDS, Kind, known_kind
 
@@ -24,10 +23,7 @@ def read_machine(path: Path | str) -> AbstractDescription:
         raise FileNotFoundError(f"{path} does not exist.")
     if path.is_dir():
         raise MachineError(f"{path} is a directory, but a machine is a TOML file.")
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise MachineError(f"{path} is not valid TOML: {error}") from error
+    content = read_toml(path, MachineError)
     kind = _kind(path, content)
     try:
         return kind.model_validate(content, context={"folder": path.parent})

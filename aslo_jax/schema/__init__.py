@@ -10,6 +10,7 @@ from .faults import (
     hint as hint,
     unknown_key as unknown_key,
 )
+from .read import read_toml as read_toml
 from .signals import (
     NoLoad as NoLoad,
     Signal as Signal,

@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError, create_model
 from ..._studies import NAMES
 from ...experiment import Experiment
 from ...machines import Study, studies
-from ...schema import Positive, Table, Whole, explain, key
+from ...schema import Positive, Table, Whole, explain, key, read_toml
 from ..problem import MakeMetric
 from ..spread import Spread
 from .control import Control
@@ -120,20 +120,16 @@ def read_configuration(path: Path | str) -> Configuration:
     name, path = str(path), Path(path)
     if name in NAMES:
         text = (files("aslo_jax.study") / "configs" / f"{name}.toml").read_text("utf-8")
+        content = tomllib.loads(text)
     elif path.is_file():
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-        except UnicodeDecodeError as error:
-            raise ConfigurationError(f"{path} is not valid TOML: {error}") from error
+        content = read_toml(path, ConfigurationError)
     else:
         raise FileNotFoundError(
             f"{name} is neither a file nor a ready-made study; those are "
             f"{', '.join(NAMES)}."
         )
     try:
-        return configure(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(f"{name} is not valid TOML: {error}") from error
+        return configure(content)
     except ConfigurationError as error:
         raise ConfigurationError(f"{name}: {error}") from None
 
