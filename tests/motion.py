@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from accurate import integrated
 from jaxtyping import Array, Float
 
 import aslo_jax as aslo
@@ -155,7 +155,6 @@ class Together(aslo.AbstractObserver):
         return {name: o.equations(F.scope(name), u, y) for name, o in pairs}
 
 
-@eqx.filter_jit
 def observe(
     observer: aslo.AbstractObserver,
     u: Callable,
@@ -167,32 +166,21 @@ def observe(
     """The observer's estimates at `ts`, driven by functions of time from t = 0.
 
     States that start at zero are tiny at first and carry the estimate all the same, hence
-    an absolute tolerance far below the relative one. The solver steps to each of `ts`,
-    since dense output is less accurate than the steps. Compiled as a whole: settings are
-    arguments, so that the next observer of the same kind is not compiled again."""
+    an absolute tolerance far below the relative one."""
+    return integrated(_start, _rate, _estimate, (observer, u, y), ts, rtol, atol)
 
-    def rate(t, states, args):
-        del args
-        state = aslo.ObserverState(states, y(t))
-        return observer.vector_field(t, state, u(t), y(t)).states
 
-    def record(t, states, args):
-        del args
-        return observer.estimate(t, aslo.ObserverState(states, y(t)), u(t), y(t))
-
+def _start(given):
+    observer, u, y = given
     zero = jnp.zeros(())
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(rate),
-        diffrax.Dopri8(),
-        0.0,
-        ts[-1],
-        None,
-        observer.init(y(zero), u(zero)).states,
-        saveat=diffrax.SaveAt(ts=ts, fn=record),
-        stepsize_controller=diffrax.ClipStepSizeController(
-            diffrax.PIDController(rtol=rtol, atol=atol), step_ts=ts
-        ),
-        adjoint=diffrax.ForwardMode(),  # compiles faster
-        max_steps=100_000,
-    )
-    return solution.ys
+    return observer.init(y(zero), u(zero)).states
+
+
+def _rate(given, t, states):
+    observer, u, y = given
+    return observer.vector_field(t, aslo.ObserverState(states, y(t)), u(t), y(t)).states
+
+
+def _estimate(given, t, states):
+    observer, u, y = given
+    return observer.estimate(t, aslo.ObserverState(states, y(t)), u(t), y(t))
