@@ -34,13 +34,13 @@ carried along its known derivative); and, where the log has truth, for scoring o
 
 
 class Explained(typer.core.TyperCommand):
-    """A command whose help ends with the columns of every kind of machine, which are
-    imported only for it."""
+    """A command whose help ends with the columns of every kind of machine, which are read
+    only for it."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        from .columns import of_every_kind
+        from .columns import written
 
-        self.help = f"{HELP}\n{of_every_kind()}\n"
+        self.help = f"{HELP}\n{written()}\n"
         super().format_help(ctx, formatter)
 
 
