@@ -4,6 +4,7 @@ and is tested for itself in `test_simulate`."""
 
 import functools
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,6 +13,8 @@ import numpy as np
 import scipy.integrate
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PyTree
+
+import aslo_jax as aslo
 
 STEPS = 100_000  # at most, from one instant to the next
 
@@ -56,6 +59,60 @@ def integrated(
             t, x = end, solver.y
         found.append(x)
     return records(arrays, jnp.asarray(ts), jnp.asarray(found))
+
+
+class Run(NamedTuple):
+    """What [`simulated`][] returns, with a leading axis of the instants `t` (s)."""
+
+    t: Array
+    x: PyTree
+    hidden: Array
+    estimates: dict[str, Any]
+
+    def error(self, name):
+        return self.estimates[name].value - self.hidden
+
+
+def simulated(plant, controller, observers, initial, ts, rtol=1e-12, atol=1e-14) -> Run:
+    """The closed loop of `aslo.simulate` without disturbances, from y to u, with observers
+    beside it."""
+    given = plant, controller, observers, initial
+    return integrated(_start, _rate, _record, given, ts, rtol, atol)
+
+
+def _signals(given, t, x):
+    y = given[0].output(x["plant"])
+    return y, jax.tree.map(jnp.asarray, given[1](t, x["controller"], y))
+
+
+def _start(given):
+    plant, controller, observers, initial = given
+    x = {"plant": initial, "controller": controller.init(plant.output(initial))}
+    y, u = _signals(given, jnp.zeros(()), x)
+    return x | {"observers": {k: o.init(y, u).states for k, o in observers.items()}}
+
+
+def _rate(given, t, x):
+    plant, controller, observers, _ = given
+    y, u = _signals(given, t, x)
+    return {
+        "plant": plant.vector_field(t, x["plant"], u),
+        "controller": controller.vector_field(t, x["controller"], y),
+        "observers": {
+            k: o.vector_field(t, aslo.ObserverState(x["observers"][k], y), u, y).states
+            for k, o in observers.items()
+        },
+    }
+
+
+def _record(given, t, x):
+    plant, _, observers, _ = given
+    y, u = _signals(given, t, x)
+    estimates = {
+        k: o.estimate(t, aslo.ObserverState(x["observers"][k], y), u, y)
+        for k, o in observers.items()
+    }
+    return Run(t, x["plant"], plant.hidden(x["plant"]), estimates)
 
 
 @functools.lru_cache(32)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -155,6 +156,7 @@ class Together(aslo.AbstractObserver):
         return {name: o.equations(F.scope(name), u, y) for name, o in pairs}
 
 
+@eqx.filter_jit
 def observe(
     observer: aslo.AbstractObserver,
     u: Callable,
@@ -166,7 +168,47 @@ def observe(
     """The observer's estimates at `ts`, driven by functions of time from t = 0.
 
     States that start at zero are tiny at first and carry the estimate all the same, hence
-    an absolute tolerance far below the relative one."""
+    an absolute tolerance far below the relative one. The solver steps to each of `ts`,
+    since dense output is less accurate than the steps. Compiled as a whole: settings are
+    arguments, so that the next observer of the same kind is not compiled again."""
+
+    def rate(t, states, args):
+        del args
+        state = aslo.ObserverState(states, y(t))
+        return observer.vector_field(t, state, u(t), y(t)).states
+
+    def record(t, states, args):
+        del args
+        return observer.estimate(t, aslo.ObserverState(states, y(t)), u(t), y(t))
+
+    zero = jnp.zeros(())
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(rate),
+        diffrax.Dopri8(),
+        0.0,
+        ts[-1],
+        None,
+        observer.init(y(zero), u(zero)).states,
+        saveat=diffrax.SaveAt(ts=ts, fn=record),
+        stepsize_controller=diffrax.ClipStepSizeController(
+            diffrax.PIDController(rtol=rtol, atol=atol), step_ts=ts
+        ),
+        adjoint=diffrax.ForwardMode(),  # compiles faster
+        max_steps=100_000,
+    )
+    return solution.ys
+
+
+def observe_by_scipy(
+    observer: aslo.AbstractObserver,
+    u: Callable,
+    y: Callable,
+    ts: Float[Array, " N"],
+    rtol: float = 1e-12,
+    atol: float = 1e-20,
+) -> aslo.Estimate:
+    """[`observe`][], for a few seconds of smooth signals, over which compiling the solver
+    would take longer than the steps do."""
     return integrated(_start, _rate, _estimate, (observer, u, y), ts, rtol, atol)
 
 
