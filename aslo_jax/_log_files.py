@@ -6,6 +6,7 @@ the line and the column to name.
 
 import csv
 import dataclasses
+import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import islice
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from . import _npz
 from ._extras import require
 
 Columns = dict[str, Float[np.ndarray, " N"]]
@@ -22,7 +24,7 @@ Select = Callable[[list[str]], dict[str, str]]
 Where = Callable[[int], str]
 
 
-BATCH = 65_536  # rows of a batch of a Parquet file
+BATCH = 65_536  # rows of a batch of a Parquet or an NPZ file
 BUFFER = 1 << 20  # bytes that are read of its columns at a time
 BLOCK = 1 << 22  # bytes of a CSV file that are parsed at a time
 
@@ -232,36 +234,47 @@ def _readable(path: Path) -> Iterator[None]:
 
 
 def read_npz(path: Path, select: Select) -> Source:
-    """A file of which every column is read at once."""
-    data = {}
+    with _readable_npz(path) as archive:
+        chosen = select(_npz.names(archive))
+        members = {name: _npz.member(archive, actual) for name, actual in chosen.items()}
+    for name, (shape, dtype) in members.items():
+        actual = chosen[name]
+        if len(shape) != 1:
+            raise LogError(
+                f"{path}, column `{actual}` has shape {shape}, but it must be a "
+                "vector, (N,); store each component under its own name."
+            )
+        if dtype.kind not in "iuf":
+            raise LogError(
+                f"{path}, column `{actual}` holds {dtype}, but it must hold real "
+                "numbers; convert it."
+            )
+    rows = {name: shape[0] for name, (shape, _) in members.items()}
+    for name, count in rows.items():
+        if count != rows["t"]:
+            raise LogError(
+                f"{path}, column `{chosen[name]}` has {count} entries, but "
+                f"`{chosen['t']}` has {rows['t']}; every column must have the same length."
+            )
+    return Source(chosen, lambda: _batches_of_npz(path, chosen), _row)
+
+
+def _batches_of_npz(path: Path, chosen: dict[str, str]) -> Iterator[Columns]:
+    with _readable_npz(path) as archive:
+        yield from _npz.batches(archive, chosen, BATCH)
+
+
+@contextmanager
+def _readable_npz(path: Path) -> Iterator[zipfile.ZipFile]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            if not isinstance(file, np.lib.npyio.NpzFile):
-                raise ValueError("it holds a single array")
-            chosen = select(file.files)
-            arrays = {name: file[actual] for name, actual in chosen.items()}
+        with _npz.opened(path) as archive:
+            yield archive
     except LogError:
         raise
-    except OSError:
-        raise
-    except Exception as error:  # zipfile, pickle and numpy each have their own
+    except ValueError as error:
         raise LogError(
             f"{path} is not a readable NPZ file of named numeric arrays: {error}"
         ) from error
-    for name, array in arrays.items():
-        actual = chosen[name]
-        if array.ndim != 1:
-            raise LogError(
-                f"{path}, column `{actual}` has shape {array.shape}, but it must be a "
-                "vector, (N,); store each component under its own name."
-            )
-        if array.dtype.kind not in "iuf":
-            raise LogError(
-                f"{path}, column `{actual}` holds {array.dtype}, but it must hold real "
-                "numbers; convert it."
-            )
-        data[name] = array.astype(float)
-    return Source(chosen, lambda: iter([data]), _row)
 
 
 READERS = {".csv": read_csv, ".parquet": read_parquet, ".npz": read_npz}

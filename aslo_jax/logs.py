@@ -19,6 +19,7 @@ from ._log_checks import check_columns, check_finite, check_rows, check_time
 from ._log_columns import checked_mapping, select
 from ._log_files import READERS, Columns, LogError as LogError
 from ._log_signals import MOTOR as MOTOR, Signals as Signals
+from ._npz import NPZWriter
 
 SUFFIXES = tuple(READERS)
 KEPT = 1 << 27  # bytes of a log that are kept from the first reading for the second
@@ -184,20 +185,20 @@ class TableWriter:
     every piece has the same columns. A context that is left writes the end.
 
     Every digit of a float64 is kept, in CSV too. An .npz file is written at the end, from
-    memory."""
+    temporary files beside it."""
 
     def __init__(self, path: Path | str):
         self.path = check_suffix(path)
         self._suffix = self.path.suffix.lower()
-        self._pieces: list[dict[str, np.ndarray]] = []
+        self._npz = NPZWriter(self.path) if self._suffix == ".npz" else None
         self._file: Any = None
-        if self._suffix != ".npz":
+        if self._npz is None:
             require("pyarrow.csv" if self._suffix == ".csv" else "pyarrow.parquet", "cli")
 
     def write(self, columns: Mapping[str, np.ndarray]) -> None:
         """Append `columns`, each of shape `(N,)`."""
-        if self._suffix == ".npz":
-            self._pieces.append(dict(columns))
+        if self._npz is not None:
+            self._npz.write(columns)
             return
         table = require("pyarrow", "cli").table(dict(columns))
         if self._suffix == ".csv":
@@ -219,15 +220,8 @@ class TableWriter:
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         if self._file is not None:
             self._file.close()
-        if self._suffix == ".npz" and kind is None:
-            names = self._pieces[0] if self._pieces else {}
-            one = len(self._pieces) == 1
-            whole = {
-                k: names[k] if one else np.concatenate([p[k] for p in self._pieces])
-                for k in names
-            }
-            with self.path.open("wb") as file:
-                np.savez(file, **whole)  # pyright: ignore[reportArgumentType]
+        if self._npz is not None:
+            self._npz.close(complete=kind is None)
 
 
 def write_table(path: Path | str, columns: Mapping[str, np.ndarray]) -> None:

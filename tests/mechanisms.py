@@ -1,8 +1,8 @@
 """The mechanisms of the tests, in motion: asymmetric parameters, moving from the start."""
 
-import diffrax
 import equinox as eqx
 import jax.numpy as jnp
+from accurate import simulated
 
 import aslo_jax as aslo
 from aslo_jax.plants import (
@@ -91,22 +91,6 @@ class Held(aslo.control.AbstractController):
         return held(self.name, fed, t)
 
 
-def accurate(system, controller, observers, start, ts, t1=None):
-    """The co-simulation at 1e-12, compiled as a whole."""
-    t1 = float(ts[-1]) if t1 is None else t1
-    return _accurate(system, controller, observers, start, ts, t1)
-
-
-@eqx.filter_jit
-def _accurate(system, controller, observers, start, ts, t1):
-    return aslo.simulate(
-        system,
-        controller,
-        observers,
-        t1=t1,
-        ts=ts,
-        initial=start,
-        solver=diffrax.Dopri8(),
-        stepsize_controller=diffrax.PIDController(rtol=1e-12, atol=1e-14),
-        adjoint=diffrax.ForwardMode(),  # compiles faster
-    )
+def accurate(system, controller, observers, start, ts):
+    """The closed loop at 1e-12."""
+    return simulated(system, controller, observers, start, ts)

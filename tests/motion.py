@@ -6,6 +6,7 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from accurate import integrated
 from jaxtyping import Array, Float
 
 import aslo_jax as aslo
@@ -196,3 +197,32 @@ def observe(
         max_steps=100_000,
     )
     return solution.ys
+
+
+def observe_by_scipy(
+    observer: aslo.AbstractObserver,
+    u: Callable,
+    y: Callable,
+    ts: Float[Array, " N"],
+    rtol: float = 1e-12,
+    atol: float = 1e-20,
+) -> aslo.Estimate:
+    """[`observe`][], for a few seconds of smooth signals, over which compiling the solver
+    would take longer than the steps do."""
+    return integrated(_start, _rate, _estimate, (observer, u, y), ts, rtol, atol)
+
+
+def _start(given):
+    observer, u, y = given
+    zero = jnp.zeros(())
+    return observer.init(y(zero), u(zero)).states
+
+
+def _rate(given, t, states):
+    observer, u, y = given
+    return observer.vector_field(t, aslo.ObserverState(states, y(t)), u(t), y(t)).states
+
+
+def _estimate(given, t, states):
+    observer, u, y = given
+    return observer.estimate(t, aslo.ObserverState(states, y(t)), u(t), y(t))

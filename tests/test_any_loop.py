@@ -131,9 +131,23 @@ def ended(carry):
     return [a * 2.0, b - 0.3 * c, d, turn * 1.0]
 
 
-@settings(max_examples=220)
-@given(codes(), st.sampled_from([(4,), (4,), (8,)]))
+ANY = given(codes(), st.sampled_from([(4,), (4,), (8,)]))
+
+
+@settings(max_examples=50)
+@ANY
 def test_any_loop_has_the_results_of_a_plain_one(code, widths):
+    check(code, widths)
+
+
+@pytest.mark.slow
+@settings(max_examples=220)
+@ANY
+def test_any_of_more_loops_has_the_results_of_a_plain_one(code, widths):
+    check(code, widths)
+
+
+def check(code, widths):
     def advance(k, carry, inputs):
         made = Evaluated(jnp, code, carry, inputs["lane"])
         return made.carry, made.record

@@ -181,6 +181,10 @@ def replay(observer, u, y):
     return aslo.replay(observer, T, u, y, return_state=True)
 
 
+def test_the_variants_are_observers():
+    assert OBSERVERS.keys() > set(VARIANTS)
+
+
 @pytest.mark.parametrize("motion", [LEG, DAMPED_LEG, WHEEL])
 def test_the_mechanisms_can_move_as_prescribed(motion):
     for t in jnp.array([0.0, 0.3, 0.9]):
@@ -235,6 +239,21 @@ def test_jit_and_vmap_change_nothing(name):
         assert not np.allclose(b[0], b[1], rtol=1e-6)
 
 
+# Made of parts that others have too.
+VARIANTS = (
+    *("chain, second order", "chain, sinusoid rejecting", "chain, paper", "chain, guarded"),
+    *("chain, asymptotic from a guess", "flux, forgetting", "flux, paper", "joined"),
+    *("side by side", "flux, FO1, paper", "flux, FO2, both sides", "flux, FO3"),
+    *("leg, asymptotic velocities", "leg, varying friction", "flux, extended Kalman"),
+)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow if n in VARIANTS else ()) for n in OBSERVERS],
+    indirect=True,
+    scope="module",
+)
 def test_every_gain_has_a_gradient(name):
     observer, (u, y, _) = OBSERVERS[name], log(name)
 

@@ -117,6 +117,7 @@ def test_steady_motion_leaves_directions_undetermined():
     assert "not determined by this record (flat: " in str(found)
 
 
+@pytest.mark.slow
 def test_the_slow_run_of_the_paper():
     """At some 2 rad/s the back-EMF is a tenth of `R i`: the resistance is found to a tenth
     of a per cent, and the inductance is said not to be."""
@@ -147,6 +148,7 @@ def test_the_slow_run_of_the_paper():
     assert errors[0] > 0.4 and errors[1] < 5e-3
 
 
+@pytest.mark.slow
 def test_wrim():
     machine = aslo.plants.WRIM(1.3, 0.7, 0.10, 0.14, 0.11, 2, 0.02)
 

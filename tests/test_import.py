@@ -9,6 +9,7 @@ from importlib.resources import files
 import pytest
 
 import aslo_jax
+from aslo_jax.cli import columns
 
 # Reached by name, and not by `from aslo_jax import *`.
 PRIVATE_USE = {
@@ -60,7 +61,8 @@ from aslo_jax.cli import main
 
 heavy = {"jax", "numpy", "diffrax", "scipy"}
 print(sorted(heavy & set(sys.modules)), "machines" in dir(aslo_jax))
-for arguments in (["--help"], ["--version"], ["study", "--help"], ["estimate", "--wrong"]):
+helps = ["--help"], ["--version"], ["study", "--help"], ["estimate", "--help"]
+for arguments in (*helps, ["estimate", "--wrong"]):
     try:
         main(arguments)
     except SystemExit as left:
@@ -74,10 +76,15 @@ import aslo_jax.simulate
     lines = done.stdout.splitlines()
     assert lines[0] == "[] True"
     left = [line for line in lines if line.startswith("left")]
-    assert left == ["left 0 []"] * 3 + ["left 2 []"]
+    assert left == ["left 0 []"] * 4 + ["left 2 []"]
     assert "True simulate PhaseLockedLoop" in lines
     assert lines[-1].startswith("PMSM pmsm <module 'aslo_jax.logs'")
     assert done.stderr.endswith("No module named 'aslo_jax.simulate'\n")
+
+
+def test_the_columns_in_the_help_are_those_of_the_machines():
+    renew = f"they have changed: run `python -m {columns.__name__}`"
+    assert columns.written() == columns.of_every_kind(), renew
 
 
 def test_the_names_of_the_package_are_those_that_type_checkers_see():

@@ -1,5 +1,7 @@
 """The notebooks run from the first cell to the last, and draw what they promise."""
 
+import ast
+import re
 from pathlib import Path
 
 import nbformat
@@ -12,7 +14,14 @@ NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
 FIGURES = {"machines": 4, "mechanical": 5, "monte_carlo": 2, "quickstart": 2, "tuning": 3}
 
 
-@pytest.mark.parametrize(("name", "figures"), FIGURES.items())
+def slow(name):
+    return () if name == "quickstart" else pytest.mark.slow
+
+
+CASES = [pytest.param(*case, marks=slow(case[0])) for case in FIGURES.items()]
+
+
+@pytest.mark.parametrize(("name", "figures"), CASES)
 def test_notebook(name, figures):
     notebook = nbformat.read(NOTEBOOKS / f"{name}.ipynb", as_version=4)
     assert not any(cell.get("outputs") for cell in notebook.cells), "saved with outputs"
@@ -21,6 +30,22 @@ def test_notebook(name, figures):
     outputs = [out for cell in notebook.cells for out in cell.get("outputs", [])]
     assert sum("image/png" in out.get("data", {}) for out in outputs) == figures
     assert not [out["text"] for out in outputs if out.get("name") == "stderr"]
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_what_a_notebook_imports_and_names_is_there(name):
+    """Every import of its cells, and every name of the library in them."""
+    notebook = nbformat.read(NOTEBOOKS / f"{name}.ipynb", as_version=4)
+    cells = [cell.source for cell in notebook.cells if cell.cell_type == "code"]
+    tree = ast.parse("\n".join(cells))
+    imports = [n for n in ast.walk(tree) if isinstance(n, ast.Import | ast.ImportFrom)]
+    namespace = {}
+    exec(compile(ast.Module(imports, []), name, "exec"), namespace)
+    written = [ast.unparse(n) for n in ast.walk(tree) if isinstance(n, ast.Attribute)]
+    used = {text for text in written if re.fullmatch(r"aslo(\.\w+)+", text)}
+    assert used
+    for each in used:
+        eval(each, dict(namespace))
 
 
 def test_every_notebook_is_tested():

@@ -169,6 +169,18 @@ def test_a_prescribed_bearing_is_a_solution_of_the_bearing():
         np.testing.assert_allclose(rate, expected, rtol=1e-10)
 
 
+def test_the_closed_loop_and_its_exact_observer():
+    """Over its first 1.2 s."""
+    name = "ASLO exact, least squares"
+    run = pmsm.closed_loop({name: pmsm.observers(PRINTED)[name]}, 1.2)
+    later = run.t > 1.0
+    assert np.abs(run.x.speed[later] - (2 + 0.5 * np.sin(run.t[later]))).max() < 0.05
+    assert settling.size(run, name)[run.t > 9e-3].max() < 1e-8
+    drive = {c.name: c.verdict for c in comparison.drive(run)}
+    assert drive["load current, factor 3/2"] == "confirmed"
+
+
+@pytest.mark.slow
 def test_the_drive_follows_its_reference_under_its_load(closed):
     later = closed.t > 1.0
     t = closed.t[later]
@@ -178,6 +190,7 @@ def test_the_drive_follows_its_reference_under_its_load(closed):
     np.testing.assert_allclose(current, torque / (1.5 * 5 * 0.2086), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_claims_of_prop_2(closed, steady, reversal):
     claims = [
         *flux_claims.proposition(closed),
@@ -196,6 +209,7 @@ def test_the_claims_of_prop_2(closed, steady, reversal):
     }
 
 
+@pytest.mark.slow
 def test_the_claims_of_the_comparison(closed):
     claims = [
         *comparison.comparison(_with_asymptotic(closed), np.array([0.9, 0.1])),
@@ -216,6 +230,7 @@ def test_the_claims_of_the_comparison(closed):
         assert measured[f"load current, {name}"] == pytest.approx(current, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_the_claims_of_the_angle(closed):
     assert verdicts(machine_claims.angle(closed, PRINTED)) == {
         "angle, arctan": "corrected",
@@ -233,6 +248,7 @@ def test_the_claims_of_the_angle(closed):
     assert found["angle, atan2"] == "not reproduced"
 
 
+@pytest.mark.slow
 def test_wrong_observers_are_found_out(closed):
     def found(claims, name):
         return kind(claims(swap(closed, name)), "not reproduced")
@@ -380,6 +396,7 @@ def test_the_figure_of_the_reversal_is_the_same_bytes_every_time(reversal):
     np.testing.assert_allclose(errors, reversal.error["least squares"], rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_panels_of_the_paper(closed):
     runs = section3.Runs(*[None] * 9)._replace(closed=_with_asymptotic(closed))
     for figure in (figures.flux_errors(runs), figures.exact_start(runs)):

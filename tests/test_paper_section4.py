@@ -37,10 +37,15 @@ def recorded():
 
 
 @pytest.fixture(scope="module")
-def runs(recorded):
+def leg():
+    return loops.leg(PRINTED)
+
+
+@pytest.fixture(scope="module")
+def runs(recorded, leg):
     """The section's runs, of the sampled contenders a few on the ball and beam."""
     return section4.Runs(
-        loops.leg(PRINTED),
+        leg,
         loops.ball(PRINTED),
         *loops.friction(PRINTED),
         {"ball": tuning.compare(s.ball(), FEW, recorded)},
@@ -98,8 +103,8 @@ def naive_proposition4(t, q, u, denominator, sign):
         ("Prop. 4, corrected", ("F[1/z1]", -1)),
     ],
 )
-def test_prop_4_is_its_lines(runs, name, form):
-    run = runs.leg
+def test_prop_4_is_its_lines(leg, name, form):
+    run = leg
     expected = naive_proposition4(run.t, run.y, run.u, *form)
     # What interpolation between instants 10 ms apart leaves, more where the leg starts.
     later = run.t > 0.05
@@ -107,10 +112,10 @@ def test_prop_4_is_its_lines(runs, name, form):
     np.testing.assert_allclose(found[later], expected[later], rtol=0, atol=2e-6)
 
 
-def test_the_printed_prop_4_is_wrong_by_the_errata(runs):
-    late = runs.leg.t > s.SETTLED
+def test_the_printed_prop_4_is_wrong_by_the_errata(leg):
+    late = leg.t > s.SETTLED
     worst = {
-        name: np.abs(loops.error(runs.leg, name)[late]).max(axis=0)
+        name: np.abs(loops.error(leg, name)[late]).max(axis=0)
         for name in ("Prop. 4", "Prop. 4, F[1/z1]", "Prop. 4, corrected")
     }
     assert (worst["Prop. 4"] > 0.05).all()
@@ -118,13 +123,31 @@ def test_the_printed_prop_4_is_wrong_by_the_errata(runs):
     assert worst["Prop. 4, corrected"].max() < 1e-9
 
 
-def test_p2_decays_at_gamma_with_the_exact_start(runs):
-    for run in (runs.leg, runs.ball):
-        for gain in s.GAINS:
-            error = loops.error(run, f"A-ASLO {gain:g}, exact")
-            law = -run.hidden[0] * np.exp(-gain * run.t)[:, None]
-            np.testing.assert_allclose(error, law, rtol=0, atol=1e-8)
-            assert np.abs(loops.error(run, f"A-ASLO {gain:g}, paper") - law).max() > 0.1
+def test_p2_decays_at_gamma_with_the_exact_start(leg):
+    check_p2(leg)
+
+
+@pytest.mark.slow
+def test_p2_of_the_ball_decays_at_gamma_with_the_exact_start(runs):
+    check_p2(runs.ball)
+
+
+def check_p2(run):
+    for gain in s.GAINS:
+        error = loops.error(run, f"A-ASLO {gain:g}, exact")
+        law = -run.hidden[0] * np.exp(-gain * run.t)[:, None]
+        np.testing.assert_allclose(error, law, rtol=0, atol=1e-8)
+        assert np.abs(loops.error(run, f"A-ASLO {gain:g}, paper") - law).max() > 0.1
+
+
+def test_the_claims_of_the_leg(leg):
+    claims = [
+        *identity.proposition4(leg),
+        *identity.asymptotic("leg", "4.1, Prop. 4, P2", leg),
+    ]
+    assert kind(claims, "not reproduced") == set()
+    of_leg = {name for name in CORRECTED if name.startswith("leg")}
+    assert kind(claims, "corrected") == of_leg
 
 
 CORRECTED = {
@@ -142,6 +165,7 @@ CORRECTED = {
 }
 
 
+@pytest.mark.slow
 def test_the_claims(runs):
     claims = section4.claims(runs)
     assert kind(claims, "not reproduced") == set()
@@ -149,6 +173,7 @@ def test_the_claims(runs):
     assert len({c.name for c in claims}) == len(claims) == 31
 
 
+@pytest.mark.slow
 def test_wrong_observers_are_found_out(runs):
     """A wrong gravity, a P2 with a quarter of its gain, and a Prop. 5 of another length."""
     ball = s.ball()
@@ -183,6 +208,7 @@ def test_wrong_observers_are_found_out(runs):
     }
 
 
+@pytest.mark.slow
 def test_a_right_prop_4_would_be_confirmed(runs):
     right = runs.leg.estimates["Prop. 4, corrected"]
     found = kinds(identity.proposition4(replaced(runs.leg, {"Prop. 4": right})))
@@ -203,6 +229,7 @@ def test_friction_adds_up_along_a_closed_path():
     assert friction.circulation(0.3) == pytest.approx(closed, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_friction_is_found_to_rounding_and_left_out_it_is_not(runs):
     later = runs.varying.t >= 5.0
     assert np.abs(loops.error(runs.varying, "bounded")[later]).max() < 1e-8
@@ -283,6 +310,7 @@ def test_lanes_are_one_trial_on_every_record():
     assert {tuple(row) for row in seen[0]} == {(g, r) for g in (1, 3) for r in (0, 1, 2)}
 
 
+@pytest.mark.slow
 def test_every_contender_has_the_same_budget_and_its_gains_in_the_box(runs):
     # As many records of validation as trials on records of training: compiled once.
     lanes = len(records.CASES) * records.VALIDATION
@@ -299,6 +327,7 @@ def test_every_contender_has_the_same_budget_and_its_gains_in_the_box(runs):
             np.testing.assert_allclose(found.rms[0], rms)
 
 
+@pytest.mark.slow
 def test_the_tuned_aslo_beats_the_tuned_differentiators(runs):
     ball = runs.compared["ball"]
     for case, tuned in ball.tuned.items():
@@ -314,6 +343,7 @@ def test_the_tuned_aslo_beats_the_tuned_differentiators(runs):
     assert list(swept) == ["nothing", "length", "gravity"]
 
 
+@pytest.mark.slow
 def test_where_the_aslo_is_worse_it_is_said(runs):
     ball = runs.compared["ball"]
     tuned = ball.tuned["16 bit"]
@@ -348,6 +378,7 @@ def test_a_moving_rms_is_that_of_its_window():
     assert set(comparison_figures.COLORS) == set(tuning.CONTENDERS)
 
 
+@pytest.mark.slow
 def test_run_writes_every_figure_table_and_claim(runs, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(section4, "run_all", lambda printed: runs)
     paper.run(4, tmp_path)

@@ -9,7 +9,7 @@ from program_checks import Outcome
 from random_programs import generate
 
 pytest.importorskip("llvmlite")
-SEEDS = range(40)
+FEW, SEEDS = range(10), range(10, 40)
 MORE = range(1000, 1300)
 
 
@@ -18,16 +18,20 @@ def ran(seeds: range) -> dict[int, Outcome]:
     return {found.seed: found for found in outcomes([generate(seed) for seed in seeds])}
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+SLOW = [pytest.param(seed, marks=pytest.mark.slow) for seed in SEEDS]
+
+
+@pytest.mark.parametrize("seed", [*FEW, *SLOW])
 def test_a_program_gives_what_scan_gives(seed):
-    found = ran(SEEDS)[seed]
+    found = ran(FEW if seed in FEW else SEEDS)[seed]
     assert not found.wrong, report(generate(seed), found)
     assert found.refused or found.compared
 
 
-def test_most_programs_run_and_most_of_their_numbers_are_settled():
+@pytest.mark.parametrize("seeds", [FEW, pytest.param(SEEDS, marks=pytest.mark.slow)])
+def test_most_programs_run_and_most_of_their_numbers_are_settled(seeds):
     """Or else the tests above hold for nothing."""
-    check_shares(ran(SEEDS))
+    check_shares(ran(seeds))
 
 
 def check_shares(found):

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from motion import PrescribedPMSM, Together, observe
+from motion import PrescribedPMSM, Together, observe_by_scipy as observe
 from test_filters import FILTERS
 
 import aslo_jax as aslo

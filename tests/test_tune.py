@@ -121,7 +121,10 @@ SETTINGS = {
 GRID = np.geomspace(1.0, 12.0, 250)
 
 
-@pytest.mark.parametrize("name", SETTINGS)
+SLOW = [pytest.param(n, marks=pytest.mark.slow) for n in ("worst", "CVaR", "settling")]
+
+
+@pytest.mark.parametrize("name", ["mean square", "noise and transient", *SLOW])
 def test_tuned_point_is_the_best_of_a_fine_grid(name):
     loss, key = SETTINGS[name], aslo.random.key(4)
     on_grid = np.asarray(jax.jit(jax.vmap(lambda g: loss(g, key)))(jnp.asarray(GRID)))
@@ -147,6 +150,7 @@ def test_tuned_point_is_the_best_of_a_fine_grid(name):
     assert found.validation < found.initial_validation
 
 
+@pytest.mark.slow
 def test_monte_carlo_finds_the_closed_form():
     """Sampling delays by half an interval, 1.8 % of the time constant; 2,500 independent
     instants or so know the variance to 3 % and the gains better, as the loss is three times

@@ -1,12 +1,18 @@
-"""The columns of every kind of machine, for the help of `aslo-jax estimate`."""
+"""The columns of every kind of machine, for the help of `aslo-jax estimate`.
+
+The machines import JAX, which takes longer than all else that help does; hence a file of
+their columns, written by `python -m aslo_jax.cli.columns`."""
 
 import textwrap
+from pathlib import Path
 
-from ..machines import KINDS
+PATH = Path(__file__).with_name("columns.txt")
 
 
 def of_every_kind() -> str:
     """The columns of every kind, those alike together."""
+    from ..machines import KINDS
+
     kinds: dict[tuple[str, ...], list[str]] = {}
     for name, kind in KINDS.items():
         signals, suffixes = kind.layout.signals, kind.layout.suffixes()
@@ -28,3 +34,12 @@ def of_every_kind() -> str:
         ]
         texts.append("\n".join(["\b", f"{', '.join(names)}", *indented]))
     return "\n\n".join(texts)
+
+
+def written() -> str:
+    """[`of_every_kind`][], from the file."""
+    return PATH.read_text("utf-8")
+
+
+if __name__ == "__main__":
+    PATH.write_text(of_every_kind(), "utf-8")

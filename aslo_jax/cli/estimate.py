@@ -1,5 +1,6 @@
 """`aslo-jax estimate`: the observer of a machine over a recorded log."""
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,13 +35,15 @@ carried along its known derivative); and, where the log has truth, for scoring o
 
 
 class Explained(typer.core.TyperCommand):
-    """A command whose help ends with the columns of every kind of machine, which are
-    imported only for it."""
+    """A command whose help ends with the columns of every kind of machine, which are read
+    only for it."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        from .columns import of_every_kind
+        from .columns import of_every_kind, written
 
-        self.help = f"{HELP}\n{of_every_kind()}\n"
+        # Where the machines are imported, there may be kinds that the file does not know.
+        known = "aslo_jax.machines" in sys.modules
+        self.help = f"{HELP}\n{of_every_kind() if known else written()}\n"
         super().format_help(ctx, formatter)
 
 
