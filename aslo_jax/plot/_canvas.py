@@ -22,8 +22,8 @@ except ModuleNotFoundError as error:
 from . import _ticks
 
 DPI = 130
-LEFT, RIGHT, TOP, BOTTOM = 0.9, 0.2, 0.36, 0.5  # inch: the margins of a panel
-LABEL = 0.76  # inch: from the axis to the middle of its label
+LEFT, RIGHT, TOP, BOTTOM = 1.02, 0.2, 0.36, 0.5  # inch: the margins of a panel
+LABEL = 0.86  # inch: from the axis to the middle of its label
 
 _styled = False
 # Of a process and not of a figure.
@@ -61,9 +61,9 @@ class Canvas(PlainFigure):
     """A figure of `width` and `height` (inch) that is drawn and saved in our style,
     whatever the global one is. A notebook shows it where it is the value of a cell."""
 
-    def __init__(self, width: float, height: float, **settings: Any):
+    def __init__(self, width: float, height: float, dpi: float = DPI, **settings: Any):
         with styled():
-            super().__init__((width, height), dpi=DPI, **settings)
+            super().__init__((width, height), dpi=dpi, **settings)
             FigureCanvasAgg(self)
 
     def draw(self, renderer: Any) -> None:
@@ -123,7 +123,7 @@ def drawing(
         raise ValueError(
             "Arguments `figure` and `axes` exclude each other; give the axes alone."
         )
-    count = len(heights) * columns
+    count = places.get("count") or len(heights) * columns
     if axes is not None:
         panels = list(np.ravel(np.asarray(axes, object)))
         if len(panels) != count:
@@ -155,7 +155,7 @@ def grid(
     bottom: float = BOTTOM,
     gaps: Sequence[float] | float = TOP,
     sharex: bool = False,
-    sharey: bool = False,
+    count: int | None = None,
 ) -> list[list[Any]]:
     """Panels in rows, lists of axes, at places computed here: margins around them hold
     every label, so that none need be measured.
@@ -163,7 +163,8 @@ def grid(
     - `heights` of the rows, relative to each other; `columns` of each row, or of all;
     - `left`: margin (inch) of every panel, or of the first of a row where `inner` is given
       for the others; `right`, `top`, `bottom`: those of the figure;
-      `gaps` below each row but the last, or one for all of them.
+      `gaps` below each row but the last, or one for all of them;
+    - `count`: of all panels, where the last row is not full.
     """
     rows = len(heights)
     width, height = (x / figure.dpi for x in (figure.bbox.width, figure.bbox.height))
@@ -174,19 +175,19 @@ def grid(
     each = free * np.asarray(heights, float) / sum(heights)
     found: list[list[Any]] = []
     first, y = None, height - top
-    for tall, count, gap in zip(each, columns, [*gaps, 0.0], strict=True):
+    for tall, across, gap in zip(each, columns, [*gaps, 0.0], strict=True):
         y -= tall
         between = left if inner is None else inner
-        inside = (width - right - left - (count - 1) * between) / count
-        inside = max(inside, 0.3 * width / count)
+        inside = (width - right - left - (across - 1) * between) / across
+        inside = max(inside, 0.3 * width / across)
         step = inside + between
         row = []
-        for j in range(count):
-            x = width - right - inside - (count - 1 - j) * step
+        for j in range(across):
+            if len(found) * across + j == count:
+                break
+            x = width - right - inside - (across - 1 - j) * step
             box = (max(x, 0.0) / width, max(y, 0.0) / height, inside / width, tall / height)
-            axes = figure.add_axes(
-                box, sharex=first if sharex else None, sharey=first if sharey else None
-            )
+            axes = figure.add_axes(box, sharex=first if sharex else None)
             first = axes if first is None else first
             # Fixed: matplotlib measures every tick to place a label or a title, each time
             # that it draws.

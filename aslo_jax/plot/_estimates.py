@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import ArrayLike
+from jax.typing import ArrayLike
 
 from .._series import Track, instants, names_of, tracks
 from . import _ticks
@@ -126,7 +126,7 @@ def error(
         if threshold is not None:
             below.axhline(threshold, label="threshold", **(BLACK | {"linewidth": 0.8}))
             legend(below)
-        _decades(below.yaxis, "", [*certificates, np.array([threshold or 1.0, 1.0])], 3)
+        _decades(below.yaxis, "", certificates, 3, shown=[1.0, threshold or 1.0])
         above.set_ylabel(with_unit("error", unit))
         below.set_ylabel("certificate (1)")
         _over_time(above, t, last=False)
@@ -174,11 +174,18 @@ def _over_time(axes: Any, t: np.ndarray, *, last: bool) -> None:
     axes.tick_params(labelbottom=last)
 
 
-def _decades(axis: Any, unit: str, series: list[np.ndarray], most: int = 5) -> None:
-    """A logarithmic axis around what is drawn, of a zero none at all."""
-    shown = np.concatenate(series)
-    shown = shown[np.isfinite(shown)]
-    if shown.size:
+def _decades(
+    axis: Any,
+    unit: str,
+    series: list[np.ndarray],
+    most: int = 7,
+    shown: Sequence[float] = (),
+) -> None:
+    """A logarithmic axis around what is drawn, with what must be `shown`."""
+    x = np.concatenate(series)
+    x = x[np.isfinite(x)]
+    if x.size:
         # Single instants at which an error crosses zero do not stretch the axis.
-        low = max(shown.min(), np.quantile(shown, 0.01) / 10.0, shown.max() * 1e-15)
-        _ticks.logarithmic(axis, unit, low / 1.5, shown.max() * 1.5, most)
+        low = max(x.min(), np.quantile(x, 0.01) / 10.0, x.max() * 1e-15)
+        low, high = min(low, *shown, low), max(x.max(), *shown, x.max())
+        _ticks.logarithmic(axis, unit, low / 1.5, high * 1.5, most)

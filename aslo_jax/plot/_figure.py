@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 WIDTH = 7.2  # inch: the text width of a page of A4
+DPI = 150
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,8 +41,7 @@ class Figure:
         from ._canvas import Canvas, styled
 
         with styled():
-            canvas = Canvas(*self.size, layout=self.layout)
-            canvas.set_dpi(150)
+            canvas = Canvas(*self.size, dpi=DPI, layout=self.layout)
             self.draw(canvas)
             return {kind: canvas.bytes(kind) for kind in kinds}
 

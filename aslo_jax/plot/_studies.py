@@ -4,10 +4,11 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import ArrayLike
+from jax.typing import ArrayLike
 
 from . import _ticks
 from ._canvas import drawing, shortened, width_of
+from ._figure import WIDTH
 from ._style import BLACK, SETTINGS, color
 from ._text import with_unit
 
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 _TALL = 20.0  # beyond this ratio an axis is logarithmic
 _DASHED = BLACK | {"linewidth": 1.0}
-WIDTH = 7.2  # inch: the text width of a page of A4
 
 
 def bands(
@@ -53,13 +53,14 @@ def bands(
     found, t, unit, bound = _bands(study, t, unit, bound)
     columns = min(3, len(found))
     rows = -(-len(found) // columns)
-    places = {"width": WIDTH, "inch": 1.35, "inner": 0.25, "gaps": 0.45}
+    places = {"width": WIDTH, "inch": 1.35, "inner": 0.34, "gaps": 0.45}
+    places |= {"count": len(found)}
     of = "one for each observer"
     if axes is not None:
         rows, columns = len(found), 1
     with drawing(figure, axes, [1.0] * rows, columns, of=of, **places) as (drawn, panels):
         limits = _limits([x for band in found.values() for x in band[:3]])
-        for k, (panel, name) in enumerate(zip(panels, found, strict=False)):
+        for k, (panel, name) in enumerate(zip(panels, found, strict=True)):
             band = found[name]
             for other in found:
                 if other != name:
@@ -81,8 +82,6 @@ def bands(
             panel.tick_params(labelbottom=last, labelleft=k % columns == 0)
             panel.set_xlabel("time (s)" if last else "")
             panel.set_ylabel(with_unit("error", unit) if k % columns == 0 else "")
-        for panel in panels[len(found) :]:
-            panel.remove()
     return drawn
 
 
@@ -140,14 +139,13 @@ def metrics_figure(
     places = {"width": WIDTH, "inch": 0.1 + 0.24 * len(observers), "left": left}
     # Ranks differ from metric to metric: every panel has names of its own.
     places |= {"inner": left if ranked else 0.3, "top": 0.12, "gaps": 0.55}
+    places |= {"count": len(tables)}
     of = "one for each metric"
     with drawing(figure, axes, [1.0] * rows, columns, of=of, **places) as (drawn, panels):
-        for k, (panel, found) in enumerate(zip(panels, tables, strict=False)):
+        for k, (panel, found) in enumerate(zip(panels, tables, strict=True)):
             order = [p.observer for p in found.places] if ranked else observers
             _metric(panel, found, order, {name: j for j, name in enumerate(observers)})
             panel.tick_params(labelleft=ranked or k % columns == 0)
-        for panel in panels[len(tables) :]:
-            panel.remove()
     return drawn
 
 
@@ -156,15 +154,13 @@ def parameters_figure(parameters: Mapping[str, np.ndarray], figure: Any = None) 
     columns = min(4, max(2, len(parameters)))
     rows = -(-len(parameters) // columns)
     places = {"width": WIDTH, "inch": 1.0, "left": 0.6, "inner": 0.4, "top": 0.12}
-    places |= {"gaps": 0.55}
+    places |= {"gaps": 0.55, "count": len(parameters)}
     of = "one for each parameter"
     with drawing(figure, None, [1.0] * rows, columns, of=of, **places) as (drawn, panels):
-        for k, (panel, item) in enumerate(zip(panels, parameters.items(), strict=False)):
+        for k, (panel, item) in enumerate(zip(panels, parameters.items(), strict=True)):
             _histogram(panel, item[1])
             panel.set_xlabel(shortened(item[0], 34), fontsize=8)
             panel.set_ylabel("samples" if k % columns == 0 else "")
-        for panel in panels[len(parameters) :]:
-            panel.remove()
     return drawn
 
 
@@ -267,7 +263,7 @@ def _limits(series: Sequence[np.ndarray]) -> tuple[float, float] | None:
 
 
 def _scaled(
-    axis: Any, unit: str, limits: tuple[float, float] | None, most: int = 5
+    axis: Any, unit: str, limits: tuple[float, float] | None, most: int = 6
 ) -> None:
     if limits is None:
         _ticks.linear(axis, unit, most)

@@ -27,7 +27,7 @@ def linear(axis: Any, unit: str, most: int = 5) -> None:
     axis.set_major_formatter(formatter(unit))
 
 
-def logarithmic(axis: Any, unit: str, low: float, high: float, most: int = 5) -> None:
+def logarithmic(axis: Any, unit: str, low: float, high: float, most: int = 7) -> None:
     """A logarithmic axis from `low` to `high`, at most about so many labels."""
     if axis.axis_name == "x":
         axis.axes.set(xscale="log", xlim=(low, high))
@@ -40,6 +40,8 @@ def logarithmic(axis: Any, unit: str, low: float, high: float, most: int = 5) ->
     elif high / low < _FEW:
         decades = 10.0 ** np.arange(np.floor(first), np.ceil(last) + 1)
         places = np.outer(decades, (1.0, 3.0)).ravel()
+        within = (places >= low) & (places <= high)
+        places = places if within.sum() <= most else decades
     else:
         stride = max(1, int(np.ceil((last - first) / most)))
         stride = 3 if stride == 2 and unit not in _BARE else stride
