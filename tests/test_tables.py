@@ -9,9 +9,9 @@ import pytest
 
 import aslo_jax as aslo
 
-T = np.array([0.0, 0.1, 0.3])
-VALUE = np.array([[1.0, 4.0], [2.0, 5.0], [3.0, 6.0]])
-ESTIMATE = aslo.Estimate(VALUE, np.array([0.0, 0.5, 0.7]), np.array([True, False, False]))
+T = jnp.array([0.0, 0.1, 0.3])
+VALUE = jnp.array([[1.0, 4.0], [2.0, 5.0], [3.0, 6.0]])
+ESTIMATE = aslo.Estimate(VALUE, jnp.array([0.0, 0.5, 0.7]), jnp.array([True, False, False]))
 NAMES = ("flux_alpha", "flux_beta")
 
 

@@ -22,7 +22,7 @@ except ModuleNotFoundError as error:
 from . import _ticks
 
 DPI = 130
-LEFT, RIGHT, TOP, BOTTOM = 1.02, 0.2, 0.36, 0.5  # inch: the margins of a panel
+LEFT, RIGHT, TOP, BOTTOM = 1.02, 0.3, 0.36, 0.5  # inch: the margins of a panel
 LABEL = 0.86  # inch: from the axis to the middle of its label
 
 _styled = False
