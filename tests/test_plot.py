@@ -288,11 +288,14 @@ def test_labels_stay_inside_and_apart():
         figure.canvas.draw()
         for axes in figure.axes:
             for axis in (axes.xaxis, axes.yaxis):
+                low, high = sorted(axis.get_view_interval())
                 boxes = [axis.label.get_window_extent()] if axis.label.get_text() else []
                 boxes += [
                     x.get_window_extent()
-                    for x in axis.get_ticklabels()
-                    if x.get_text() and x.get_visible()
+                    for x, at in zip(
+                        axis.get_ticklabels(), axis.get_ticklocs(), strict=True
+                    )
+                    if x.get_text() and x.get_visible() and low <= at <= high
                 ]
                 for k, box in enumerate(boxes):
                     assert figure.bbox.padded(1).containsx(box.x0), axis

@@ -107,7 +107,7 @@ def _figures(dataset: Any, tables: list[Table]) -> list[Figure]:
             " Dashed: Cramér-Rao bound on the rms over samples, which is the diamond."
         )
     rows = len(tables) if len(tables) == 1 else -(-len(tables) // 2)
-    size = WIDTH, rows * (0.85 + 0.24 * len(names(dataset)))
+    size = WIDTH, rows * (0.9 + 0.24 * len(names(dataset)))
     draw = lambda canvas: _studies.metrics_figure(tables, canvas)
     found = [Figure("metrics", caption, {}, draw, size, None)]
     if "error" in dataset:
