@@ -1,6 +1,6 @@
 """Continuous co-simulation: plant, controller, observers and disturbances in one solve."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import diffrax
@@ -40,6 +40,44 @@ class Simulation(eqx.Module):
     def error(self, name: str) -> Float[Array, "*N n"]:
         """Estimate less truth of observer `name`, in the units of the state."""
         return self.estimates[name].value - self.hidden
+
+    def to_dataframe(
+        self,
+        *,
+        names: Sequence[str] | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> Any:
+        """The simulation as a `pandas.DataFrame` with the index `t` (s) (the extra
+        `study`).
+
+        - `names` of the `n` entries of the hidden state, by default `hidden_0` and so on;
+        - `units`: by column (`"ASLO.value_0"`), by entry of every observer (`"value_0"`,
+          or a name) or by signal (`"u"`), kept in `attrs["units"]` of the table.
+
+        The columns are `u_0` and so on (`u` of a scalar, `u.name_0` of a mapping), the same
+        of `y` and of the state `x`, the hidden state by its names, and for each observer
+        `ASLO.` before its entries, by the same names where they are as many and otherwise
+        `value_0` and so on, and before `certificate` (1) and `coasting`.
+
+        **Raises:** `ValueError` for names that do not fit, for a batch of simulations, or
+        for the unit of no column; `ImportError` naming the command that installs pandas.
+        """
+        from ._tables import dataframe, simulation_columns
+
+        return dataframe(simulation_columns(self, names), units or {})
+
+    def to_xarray(
+        self,
+        *,
+        names: Sequence[str] | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> Any:
+        """The same as an `xarray.Dataset`: one variable for each column of
+        [`Simulation.to_dataframe`][], over the coordinate `t` (s), with its unit in the
+        attribute `units`."""
+        from ._tables import dataset, simulation_columns
+
+        return dataset(simulation_columns(self, names), units or {})
 
 
 class _Loop(eqx.Module):

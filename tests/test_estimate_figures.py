@@ -9,18 +9,29 @@ from aslo_jax.cli import main
 from aslo_jax.logs import write_table
 from aslo_jax.machines import template
 
-MOTOR = ["Flux, start of the log", "Flux, end of the log", "error", "Speed", "Certificate"]
+END = "End of the log"
+MOTOR = [
+    *("Inputs, start of the log", END, "Outputs, start of the log", END),
+    *("Flux, start of the log", END, "Angle, start of the log", END),
+    *("error", "Speed", "Certificate", "mechanical (rpm)"),
+]
 PANELS = {
     "stepper": MOTOR,
     "wrim": [
-        "Stator flux, start of the log",
-        "Stator flux, end of the log",
-        "Rotor flux, start of the log",
-        "Rotor flux, end of the log",
+        *("Inputs, start of the log", END, "Outputs, start of the log", END),
+        *("Stator flux, start of the log", END, "Rotor flux, start of the log", END),
         "error",
         "Certificate",
     ],
-    "magnetic_bearing": ["error", "Flux", "Position", "Velocity", "Certificate"],
+    "magnetic_bearing": [
+        "Inputs",
+        "Outputs",
+        "error",
+        "Flux",
+        "Position",
+        "Velocity",
+        "Certificate",
+    ],
 }
 LOGS = {
     "stepper": lambda: held_logs.motor(
@@ -58,28 +69,47 @@ def test_panels_show_estimates_over_the_truth(tmp_path, monkeypatch, kind):
     (tmp_path / "machine.toml").write_text(template(kind))
     axes = draw(monkeypatch, tmp_path).axes
     assert len(axes) == len(PANELS[kind])
+    shown = set()
     with np.load(tmp_path / "out.npz") as table:
+        data = log | dict(table)
         for axis, title in zip(axes, PANELS[kind], strict=True):
-            assert title in axis.get_title()
-            drawn = {line.get_label(): line for line in axis.get_lines()}
+            assert title in axis.get_title(loc="left") + axis.get_ylabel()
+            drawn = {line.get_gid(): line for line in axis.get_lines()}
+            truth = "truth" in {line.get_label() for line in axis.get_lines()}
             if title == "error":
-                names = [name for name in drawn if name.endswith("flux")]
+                names = [name for name in drawn if name and name.endswith("flux")]
                 assert len(names) == (2 if kind == "wrim" else 1)
                 continue
-            for name in set(drawn) & set(table):
+            for name in set(drawn) & set(data):
                 t, values = drawn[name].get_data()
                 rows = np.isin(table["t"], t)
-                if not name.startswith("certificate"):
-                    np.testing.assert_array_equal(values, table[name][rows])
-                    assert "truth" in drawn
+                expected = data[name][rows]
+                shown.add(name)
+                if name == "theta_electrical":
+                    values, expected = (
+                        np.radians(values),
+                        np.where(
+                            np.isnan(values),
+                            np.nan,
+                            (expected + np.pi) % (2 * np.pi) - np.pi,
+                        ),
+                    )
+                    np.testing.assert_allclose(values, expected, rtol=0, atol=1e-9)
+                elif not name.startswith("certificate"):
+                    np.testing.assert_array_equal(values, expected)
+                if name in table and not name.startswith("certificate"):
+                    assert truth
             if "of the log" in title:
                 first, last = axis.get_xlim()
                 edge = log["t"][0] if "start" in title else log["t"][-1]
                 assert edge in (first, last)
+    signals = [n for n in log if n != "t" and n[0] in "ui"]
+    columns = [n for n in table.files if n[:5] in ("flux_", "theta", "omega", "veloc")]
+    assert {*signals, *columns} <= shown
     if kind != "wrim":
         return
     without = draw(monkeypatch, tmp_path, "--no-truth").axes
-    titles = [axis.get_title() for axis in without]
+    titles = [axis.get_title(loc="left") for axis in without]
     assert any(title.startswith("Consistency without truth, | ") for title in titles)
     for axis in without:
         assert "truth" not in {line.get_label() for line in axis.get_lines()}

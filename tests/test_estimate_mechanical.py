@@ -263,18 +263,20 @@ def test_the_figure_shows_every_velocity(tmp_path, monkeypatch):
     table = estimates(tmp_path, log, "--plot", plot)
     assert plot.read_bytes().startswith(b"\x89PNG")
     axes = figures[0].axes
-    assert [axis.get_title() for axis in axes] == [
+    assert [axis.get_title(loc="left") for axis in axes] == [
+        "Inputs",
+        "Outputs",
         "Relative error, |estimate - truth| / rms of the truth",
         "Velocity 1",
         "Velocity 2",
         "Velocity 3",
         "Certificate; grey: coasting",
     ]
-    for j, axis in enumerate(axes[1:4], start=1):
-        drawn = {line.get_label(): line.get_ydata() for line in axis.get_lines()}
-        np.testing.assert_array_equal(drawn[f"qdot{j}"], table[f"qdot{j}"])
-        np.testing.assert_array_equal(drawn["truth"], log[f"qdot{j}_true"])
-        error = axes[0].get_lines()[j - 1].get_ydata()
+    for j, axis in enumerate(axes[3:6], start=1):
+        drawn, truth = (line.get_ydata() for line in axis.get_lines())
+        np.testing.assert_array_equal(drawn, table[f"qdot{j}"])
+        np.testing.assert_array_equal(truth, log[f"qdot{j}_true"])
+        error = axes[2].get_lines()[j - 1].get_ydata()
         size = np.sqrt(np.mean(log[f"qdot{j}_true"] ** 2))
         expected = np.abs(table[f"error_qdot{j}"]) / size
         np.testing.assert_allclose(error, expected, rtol=1e-12)

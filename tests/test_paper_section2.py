@@ -13,7 +13,6 @@ import scipy.linalg
 import aslo_jax as aslo
 from aslo_jax import paper
 from aslo_jax.paper.claims import Above, Below, Claim, Near, to_csv, to_markdown, to_text
-from aslo_jax.paper.drawing import Figure
 from aslo_jax.paper.linear import realisation
 from aslo_jax.paper.section2 import (
     experiments as s,
@@ -22,6 +21,7 @@ from aslo_jax.paper.section2 import (
     systems,
     theory,
 )
+from aslo_jax.plot._figure import Figure
 
 PRINTED = s.Printed()
 

@@ -15,7 +15,6 @@ from motion import PrescribedPMSM, observe
 import aslo_jax as aslo
 from aslo_jax import paper
 from aslo_jax.paper import section3
-from aslo_jax.paper.drawing import Figure
 from aslo_jax.paper.report import Table, files
 from aslo_jax.paper.section3 import (
     comparison_claims as comparison,
@@ -28,6 +27,7 @@ from aslo_jax.paper.section3 import (
     settling,
 )
 from aslo_jax.paper.section3.prescribed import PrescribedBearing, PrescribedMachine
+from aslo_jax.plot._figure import Figure
 
 PRINTED = s.Printed()
 WRONG = s.Printed(

@@ -134,26 +134,12 @@ def _draw(
     after: "AbstractDescription",
 ) -> None:
     """How far the estimates are from their relation, before and after."""
-    import numpy as np
-
+    from ..plot._commands import calibrated_figure
     from . import table
 
-    figures = require("matplotlib.figure", "cli,plot")
     found = {}
     for label, machine in (("before", before), ("after", after)):
         columns = table.estimate_log(log, machine, machine.rates(log))
         found[label] = machine.residuals(columns, log)
-    names = list(found["before"])
-    figure = figures.Figure(figsize=(9, 2.4 * len(names) + 0.8), layout="constrained")
-    axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
-    figure.suptitle(f"{before.title}: calibration from {title}")
-    for axis, name in zip(axes, names, strict=True):
-        for color, label in (("C3", "before"), ("C0", "after")):
-            values = found[label][name]
-            shown = np.where((values > 0) & np.isfinite(values), values, np.nan)
-            axis.semilogy(log.t, shown, color=color, linewidth=0.8, label=label)
-        axis.set(title=f"{name}: {before.residual}", ylabel="1")
-        axis.grid(alpha=0.3)
-        axis.legend(loc="upper right")
-    axes[-1].set_xlabel("time (s)")
-    figure.savefig(path, dpi=130)
+    heading = f"{before.title}: calibration from {title}"
+    calibrated_figure(log.t, found, before.residual, heading).savefig(path)

@@ -84,7 +84,7 @@ def tabulated(
                 writer.write(piece.columns)
                 summary.add(piece)
                 if drawn:
-                    trace.add(piece)
+                    trace.add(piece, log)
                 if first is None:
                     progress(log.t.size - 1)
         if estimator.complete:

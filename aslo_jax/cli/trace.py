@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
+from ..logs import Log
 from ..machines import AbstractDescription, Quantity
 from ..machines.base import Columns
 from .summary import Summary, relative_error
@@ -18,19 +19,23 @@ ENDS = 32_768  # rows of each end that are kept in full
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """Rows to be drawn: `t` (s), `columns` and `truth` by the names of the table, and what
-    is drawn of errors by quantity, with gaps where it is not positive."""
+    """Rows to be drawn: `t` (s), `columns` and `truth` by the names of the table, what is
+    drawn of errors by quantity, with gaps where it is not positive, and the measured
+    `inputs` and `outputs` by the names of the log."""
 
     t: Float[np.ndarray, " N"]
     columns: Columns
     truth: Columns
     errors: Columns
+    inputs: Columns
+    outputs: Columns
 
     def between(self, first: float, last: float) -> "View":
         """The rows from `first` to `last` (s)."""
         rows = (self.t >= first) & (self.t <= last)
         cut = lambda columns: {name: x[rows] for name, x in columns.items()}
-        return View(self.t[rows], *map(cut, (self.columns, self.truth, self.errors)))
+        parts = (self.columns, self.truth, self.errors, self.inputs, self.outputs)
+        return View(self.t[rows], *map(cut, parts))
 
 
 class Trace:
@@ -45,7 +50,9 @@ class Trace:
         self._last: list[Columns] = []
         self._done = 0
 
-    def add(self, piece: Piece) -> None:
+    def add(self, piece: Piece, log: Log | None = None) -> None:
+        """The rows of a `piece`, and what was measured in them, the last rows of the `log`
+        that it was estimated from."""
         series = {f"columns {k}": x for k, x in piece.columns.items()}
         for name, x in piece.columns.items():
             if name.startswith("certificate"):
@@ -53,6 +60,8 @@ class Trace:
         series |= {f"truth {k}": x for k, x in piece.truth.items()}
         series |= {f"errors {k}": above_zero(x) for k, x in self._errors(piece).items()}
         rows = piece.columns["t"].size
+        if log is not None:
+            series |= self._measured(log, slice(log.t.size - rows, None))
         if self._bucket > 1:
             self._reduce(series, rows)
         if self._bucket == 1 or self._done < ENDS:
@@ -62,6 +71,18 @@ class Trace:
             while sum(_size(x) for x in self._last[1:]) >= ENDS:
                 del self._last[0]
         self._done += rows
+
+    def _measured(self, log: Log, rows: slice) -> Columns:
+        signals = self.machine.signals
+        inputs = (*signals.inputs, *signals.optional)  # the latter are zero where missing
+        found = {}
+        for kind, names, values in (
+            ("inputs", inputs, log.u),
+            ("outputs", signals.outputs, log.y),
+        ):
+            columns = zip(names, values[rows].T, strict=False)
+            found |= {f"{kind} {name}": x for name, x in columns}
+        return found
 
     def _errors(self, piece: Piece) -> Columns:
         """By quantity: of vectors where there are any, of scalars yet to be divided by the
@@ -115,7 +136,8 @@ class Trace:
         return whole.between(*ends)
 
     def _view(self, series: Columns, summary: Summary) -> View:
-        parts: dict[str, Columns] = {"columns": {}, "truth": {}, "errors": {}}
+        kinds = ("columns", "truth", "errors", "inputs", "outputs")
+        parts: dict[str, Columns] = {kind: {} for kind in kinds}
         for name, x in series.items():
             kind, _, of = name.partition(" ")
             parts[kind][of] = x

@@ -117,20 +117,7 @@ def compared(before: float, after: float) -> str:
 
 def _draw(path: Path, title: str, tuned: "dict[str, Tuned]") -> None:
     """The rms errors over fresh samples, before and after."""
-    figures = require("matplotlib.figure", "cli,plot")
-    figure = figures.Figure(figsize=(7.5, 0.55 * len(tuned) + 1.8), layout="constrained")
-    axes = figure.subplots()
-    for k, (name, each) in enumerate(reversed(tuned.items())):
-        del name
-        axes.plot([each.rms_before, each.rms_after], [k, k], color="0.7", zorder=1)
-        for value, color, label in (
-            (each.rms_before, "C3", "before"),
-            (each.rms_after, "C0", "after"),
-        ):
-            axes.scatter(value, k, color=color, zorder=2, label=None if k else label)
-    axes.set_yticks(range(len(tuned)), list(reversed(tuned)))
-    axes.set(xscale="log", xlabel="rms error over fresh samples", title=title)
-    axes.margins(y=0.15)
-    axes.grid(axis="x", which="both", alpha=0.3)
-    axes.legend(loc="best")
-    figure.savefig(path, dpi=130)
+    from ..plot._commands import tuned_figure
+
+    errors = {name: (each.rms_before, each.rms_after) for name, each in tuned.items()}
+    tuned_figure(errors, title).savefig(path)

@@ -1,13 +1,13 @@
 """The protocol of every observer."""
 
 import abc
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
 
 from .._checks import kind, positive
 from .._signals import check_signals
@@ -27,6 +27,43 @@ class Estimate(eqx.Module):
     value: Float[Array, "*batch n"]
     certificate: Float[Array, "*batch"]
     coasting: Bool[Array, "*batch"]
+
+    def to_dataframe(
+        self,
+        t: ArrayLike,
+        *,
+        names: Sequence[str] | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> Any:
+        """An estimate over time as a `pandas.DataFrame` (the extra `study`).
+
+        - `t`: the instants that `replay` had (s), shape `(N,)`, which become the index `t`;
+        - `names` of the `n` entries of the value, by default `value_0` and so on;
+        - `units`: by column, kept in `attrs["units"]` of the table.
+
+        The other columns are `certificate` (1) and `coasting`.
+
+        **Raises:** `ValueError` for instants or names that do not fit, for a batch of
+        estimates, or for the unit of no column; `ImportError` naming the command that
+        installs pandas.
+        """
+        from .._tables import dataframe, estimate_columns
+
+        return dataframe(estimate_columns(self, t, names), units or {})
+
+    def to_xarray(
+        self,
+        t: ArrayLike,
+        *,
+        names: Sequence[str] | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> Any:
+        """The same as an `xarray.Dataset`: one variable for each column of
+        [`Estimate.to_dataframe`][], over the coordinate `t` (s), with its unit in the
+        attribute `units`."""
+        from .._tables import dataset, estimate_columns
+
+        return dataset(estimate_columns(self, t, names), units or {})
 
 
 class ObserverState(eqx.Module):

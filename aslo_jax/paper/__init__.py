@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 import jax
 
+from .._extras import require
+
 SECTIONS = (2, 3, 4)
 
 
@@ -47,7 +49,5 @@ def run(section: int, out: pathlib.Path) -> None:
 
 
 def _experiments(section: int) -> Callable[[], tuple[dict[str, bytes], str]]:
-    from .drawing import require_matplotlib
-
-    require_matplotlib()
+    require("matplotlib", "plot")
     return importlib.import_module(f".section{section}", __package__).report

@@ -5,8 +5,8 @@ import dataclasses
 import io
 from collections.abc import Sequence
 
+from ..plot._figure import Figure
 from .claims import Claim, to_csv, to_markdown, to_text
-from .drawing import Figure
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,30 +2,8 @@
 
 import math
 
+from ..plot._text import number as number, power as power
 from .statistics import Interval
-
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
-def number(x: float, digits: int = 3) -> str:
-    """`x` with so many significant digits; powers of ten where it is large or small."""
-    if math.isnan(x):
-        return "–"
-    if math.isinf(x):
-        return "∞" if x > 0 else "−∞"
-    if x == 0.0:
-        return "0"
-    exponent = int(f"{x:.{digits - 1}e}".partition("e")[2])
-    if -3 <= exponent < digits + 2:
-        text = f"{x:.{max(0, digits - 1 - exponent)}f}"
-    else:
-        text = f"{x / 10.0**exponent:.{digits - 1}f}×{power(exponent)}"
-    return text.replace("-", "−")
-
-
-def power(exponent: int) -> str:
-    """`10` with a raised exponent."""
-    return "10" + str(exponent).translate(_RAISED)
 
 
 def interval(x: Interval, scale: float = 1.0) -> str:

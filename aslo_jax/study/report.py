@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .._extras import require
+from ..plot._figure import WIDTH, Figure
 from . import formats
 from .bands import bands
-from .figures import Figure, band_figure, metric_figure, parameter_figure
 from .sensitivity import Index
 from .statistics import Interval
 from .tables import (
@@ -48,6 +48,7 @@ def write_report(
     command that installs what is missing.
     """
     jinja2 = require("jinja2", "study")
+    require("matplotlib", "study")
     numeric = metrics(dataset)
     if not numeric:
         raise ValueError(
@@ -58,7 +59,7 @@ def write_report(
     seed = int(dataset.attrs.get("seed", 0))
     tables = [table(dataset, name, confidence, seed) for name in numeric]
     figures = _figures(dataset, tables)
-    pictures = {figure.name: figure.render() for figure in figures}
+    pictures = {figure.name: figure.render("png", "svg") for figure in figures}
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("aslo_jax.study"),
         autoescape=True,
@@ -95,11 +96,22 @@ def write_report(
 
 
 def _figures(dataset: Any, tables: list[Table]) -> list[Figure]:
-    found = [metric_figure(tables)]
+    from ..plot import _studies
+
+    caption = (
+        "Each metric over the samples. Dot: median; bar: 5 to 95 %; tick: worst sample; "
+        "arrow: infinite, since samples diverged or never settled."
+    )
+    if any(table.bound is not None for table in tables):
+        caption += (
+            " Dashed: Cramér-Rao bound on the rms over samples, which is the diamond."
+        )
+    rows = len(tables) if len(tables) == 1 else -(-len(tables) // 2)
+    size = WIDTH, rows * (0.9 + 0.24 * len(names(dataset)))
+    draw = lambda canvas: _studies.metrics_figure(tables, canvas)
+    found = [Figure("metrics", caption, {}, draw, size, None)]
     if "error" in dataset:
-        bound = dataset[BOUND].values if BOUND in dataset else None
-        time, error = dataset.time.values, dataset["error"]
-        found.append(band_figure(time, bands(error), unit(error), bound))
+        found.append(_band_figure(dataset))
     spread = {}
     for name in parameters(dataset):
         variable = dataset[name]
@@ -108,8 +120,31 @@ def _figures(dataset: Any, tables: list[Table]) -> list[Figure]:
             units = f" ({unit(variable)})" if unit(variable) else ""
             spread[printed + units] = variable.values.astype(float)
     if spread:
-        found.append(parameter_figure(spread))
+        caption = "How the spread parameters are distributed over the samples."
+        size = WIDTH, 0.2 + 1.55 * -(-len(spread) // min(4, max(2, len(spread))))
+        draw = lambda canvas: _studies.parameters_figure(spread, canvas)
+        found.append(Figure("parameters", caption, {}, draw, size, None))
     return found
+
+
+def _band_figure(dataset: Any) -> Figure:
+    from ..plot import _studies
+
+    found = bands(dataset["error"])
+    bound = dataset[BOUND].values if BOUND in dataset else None
+    settings = {"unit": unit(dataset["error"]), "bound": bound}
+    draw = lambda canvas: _studies.bands(
+        found, dataset.time.values, figure=canvas, **settings
+    )
+    dashed = "" if bound is None else " Dashed: Cramér-Rao bound on the rms over samples."
+    caption = (
+        "The norm of the estimation error over time. Thick line: median over the samples; "
+        "band: 5 to 95 %; thin line: worst sample, where it is finite; grey: the medians "
+        f"of the other observers.{dashed}"
+    )
+    return Figure(
+        "error", caption, {}, draw, (WIDTH, 0.5 + 1.75 * -(-len(found) // 3)), None
+    )
 
 
 def _printed(table: Table, observers: int) -> dict[str, Any]:

@@ -10,10 +10,7 @@ from .calibration import (
 from .chart import (
     Front as Front,
     Surface as Surface,
-    design_chart as design_chart,
-    front_chart as front_chart,
     pareto as pareto,
-    plot_history as plot_history,
     surface as surface,
 )
 from .descent import History as History

@@ -4,12 +4,14 @@ import math
 
 import numpy as np
 
-from ..drawing import BLACK, STYLES, Figure
+from ...plot._figure import Figure
+from ...plot._style import BLACK, STYLES
+from ...plot._text import symbol
 from ..linear import realisation
 from . import experiments as s
 from .systems import V, W, kalman_variance, printed_variance, variances
 
-ERROR = "error of $x_2$ (m/s)"
+ERROR = "error of x₂ (m/s)"
 TIME = "time (s)"
 
 
@@ -17,8 +19,8 @@ def transients(runs: s.Runs) -> Figure:
     """Figure 1."""
     t = np.asarray(runs.transients.t)[0]
     by_rate, by_gain = runs.transients, runs.gains
-    fixed_gain = rf"(b) A-ASLO, $\gamma$ = {s.GAIN:g} rad/s"
-    fixed_rate = rf"(c) A-ASLO, $\lambda$ = {s.RATE_1C:g} rad/s"
+    fixed_gain = rf"(b) A-ASLO, γ = {s.GAIN:g} rad/s"
+    fixed_rate = rf"(c) A-ASLO, λ = {s.RATE_1C:g} rad/s"
     panels = [
         ("(a) ASLO", s.error(by_rate, "ASLO"), "lambda", s.RATES),
         (fixed_gain, s.error(by_rate, "A-ASLO"), "lambda", s.RATES),
@@ -35,7 +37,7 @@ def transients(runs: s.Runs) -> Figure:
         axes = figure.subplots(2, 2, sharex=True, sharey=True)
         for ax, (title, errors, gain, values) in zip(axes.flat, panels, strict=True):
             for style, value, error in zip(STYLES, values, errors[..., 0], strict=True):
-                ax.plot(t, error, label=rf"$\{gain}$ = {value:g} rad/s", **style)
+                ax.plot(t, error, label=f"{symbol(gain)} = {value:g} rad/s", **style)
             ax.set(title=title, xlim=(0, 5))
             ax.legend(loc="lower right")
         for ax in axes[:, 0]:
@@ -69,7 +71,7 @@ def noise(runs: s.Runs, printed: s.Printed) -> Figure:
         axes = figure.subplots(2, 1, sharex=True, sharey=True)
         for ax, name, style in zip(axes, names, STYLES, strict=False):
             color, two = style["color"], 2 * deviation[name]
-            band = rf"$\pm$2 standard deviations in theory, $\pm${two:.3f} m/s"
+            band = f"±2 standard deviations in theory, ±{two:.3f} m/s"
             ax.axhspan(-two, two, color=color, alpha=0.15, linewidth=0, label=band)
             ax.plot(t, errors[name], color=color, linewidth=0.9)
             ax.set(title=name, ylabel=ERROR, xlim=(0, 20), ylim=(-0.12, 0.1))
@@ -98,7 +100,7 @@ def parasitics(runs: s.Runs) -> Figure:
         axes = figure.subplots(2, 2, sharey="row")
         for (early, late), name in zip(axes.T, names, strict=True):
             for style, tau, error in zip(STYLES, s.LAGS, errors[name], strict=True):
-                early.plot(t, error, label=rf"$\tau$ = {tau:g} s", **style)
+                early.plot(t, error, label=f"τ = {tau:g} s", **style)
                 late.plot(t, error, **style)
             early.set(title=name, xlim=(0, 8))
             late.set(title=f"{name}, slow part", xlim=(8, t[-1]), ylim=(-0.02, 0.002))
@@ -132,16 +134,16 @@ def exact_start(runs: s.Runs) -> Figure:
         lines = []
         for i, (style, rate) in enumerate(zip(STYLES, s.RATES, strict=True)):
             left.semilogy(t, np.abs(errors["ASLO"][i]), **style)
-            label = rf"printed start, $\lambda$ = {rate:g} rad/s"
+            label = rf"printed start, λ = {rate:g} rad/s"
             lines += right.plot(t, errors["A-ASLO"][i], label=label, **style)
         largest = np.abs(errors["ASLO exact"]).max(axis=0)
         left.semilogy(t[later], largest[later], color="black", linewidth=0.8)
         left.text(0.15, 2e-9, "exact start", fontsize=8)
         left.set(title="ASLO", xlim=(0, 5), ylim=(1e-12, 1), xlabel=TIME)
         left.set_ylabel("size of the " + ERROR)
-        label = r"exact start, the same for every $\lambda$"
+        label = r"exact start, the same for every λ"
         lines += right.plot(t, errors["A-ASLO exact"][0], label=label, **BLACK)
-        right.set(title=rf"A-ASLO, $\gamma$ = {s.GAIN:g} rad/s", xlim=(0, 5), xlabel=TIME)
+        right.set(title=rf"A-ASLO, γ = {s.GAIN:g} rad/s", xlim=(0, 5), xlabel=TIME)
         right.set_ylabel(ERROR)
         figure.legend(handles=lines, loc="outside lower center", ncols=2)
 
@@ -196,13 +198,13 @@ def noise_variance(printed: s.Printed) -> Figure:
 
     def draw(figure):
         ax = figure.subplots()
-        first = r"A-ASLO, first-order filter, $\lambda = \gamma$"
+        first = r"A-ASLO, first-order filter, λ = γ"
         ax.loglog(gains, variance, label=first, **STYLES[0])
-        second = rf"ASLO, second-order filter (Kalman): {least:.4f} (m/s)$^2$"
+        second = rf"ASLO, second-order filter (Kalman): {least:.4f} (m/s)²"
         ax.axhline(least, label=second, **STYLES[1])
         ax.plot(optimum, best, "o", color=STYLES[0]["color"])
         ax.annotate(
-            rf"{optimum:.3f} rad/s, {best:.4f} (m/s)$^2$",
+            rf"{optimum:.3f} rad/s, {best:.4f} (m/s)²",
             (optimum, best),
             (optimum, 1.1),
             ha="center",
@@ -212,7 +214,7 @@ def noise_variance(printed: s.Printed) -> Figure:
             axis.set_ticks(ticks, [f"{x:g}" for x in ticks])
             axis.set_ticks([], minor=True)
         ax.set(xlabel="gain (rad/s)", ylim=(0.35, 10))
-        ax.set_ylabel("variance of the error ((m/s)$^2$)")
+        ax.set_ylabel("variance of the error ((m/s)²)")
         ax.legend(loc="upper left")
 
     caption = (

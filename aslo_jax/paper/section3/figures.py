@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ..drawing import BLACK, STYLES, Figure
+from ...plot._figure import Figure
+from ...plot._style import BLACK, STYLES
 from . import pmsm, settings as s
 from .runs import Runs
 from .settling import size
@@ -17,8 +18,8 @@ def flux_errors(runs: Runs) -> Figure:
     """The five panels of 3.1.3, FO2 twice."""
     run, names = runs.closed, pmsm.PAPER
     titles = {
-        "FO2, gamma 5": r"FO2, $\gamma$ = 5 s$^{-1}$Wb$^{-2}$",
-        "FO2, gamma 1000": r"FO2, $\gamma$ = 1000 s$^{-1}$Wb$^{-2}$",
+        "FO2, gamma 5": r"FO2, γ = 5 s⁻¹ Wb⁻²",
+        "FO2, gamma 1000": r"FO2, γ = 1000 s⁻¹ Wb⁻²",
     }
     errors = {name: np.asarray(run.estimates[name].value - run.hidden) for name in names}
     data = {"t_s": np.asarray(run.t)}
@@ -31,7 +32,7 @@ def flux_errors(runs: Runs) -> Figure:
         for ax, name in zip(axes.flat, names, strict=True):
             lines = [
                 ax.plot(run.t, errors[name][:, i], label=label, **STYLES[i])[0]
-                for i, label in enumerate((r"$\alpha$ component", r"$\beta$ component"))
+                for i, label in enumerate((r"α component", r"β component"))
             ]
             end = s.SPAN if name == "FO2, gamma 5" else 3.0
             ax.set(title=titles.get(name, name), xlim=(0, end), ylim=(-0.3, 0.3))
@@ -95,7 +96,7 @@ def exact_start(runs: Runs) -> Figure:
             "printed start",
             "exact start",
             "FO1, printed",
-            r"FO2, $\gamma$ = 1000, printed",
+            r"FO2, γ = 1000, printed",
         ]
         figure.legend(lines, labels, loc="outside lower center", ncols=4)
 
@@ -114,10 +115,10 @@ def reversal(runs: Runs) -> Figure:
     """The speed 2 sin t under noise."""
     run, names = runs.reversal, tuple(pmsm.REVERSAL)
     labels = {
-        "Repeat, no guard": r"Repeat, $\lambda$ = 5 rad/s, no guard",
-        "Repeat": r"Repeat, $\lambda$ = 5 rad/s",
-        "least squares": r"least squares, $\lambda$ = 5 rad/s",
-        "least squares, lambda 50": r"least squares, $\lambda$ = 50 rad/s",
+        "Repeat, no guard": r"Repeat, λ = 5 rad/s, no guard",
+        "Repeat": r"Repeat, λ = 5 rad/s",
+        "least squares": r"least squares, λ = 5 rad/s",
+        "least squares, lambda 50": r"least squares, λ = 50 rad/s",
     }
     data = {"t_s": run.t, "speed_rad_per_s": run.speed, "delta_a2": run.delta}
     for name in names:
@@ -133,7 +134,7 @@ def reversal(runs: Runs) -> Figure:
         speed.set_ylabel("speed\n(rad/s)")
         delta = speed.twinx()
         delta.plot(run.t, run.delta, linewidth=1.0, **_plain(STYLES[3]))
-        delta.set_ylabel(r"$\Delta$ (A$^2$)", color=STYLES[3]["color"])
+        delta.set_ylabel("Δ (A²)", color=STYLES[3]["color"])
         delta.grid(visible=False)
         bound = 1.1 * np.abs(run.delta).max()
         delta.set_ylim(-bound, bound)

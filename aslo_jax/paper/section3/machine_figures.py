@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ..drawing import STYLES, Figure
+from ...plot._figure import Figure
+from ...plot._style import STYLES
 from . import machines as m, settings as s
 from .figures import SIZE, TIME, key
 from .runs import Runs
@@ -33,7 +34,7 @@ def wrim(runs: Runs) -> Figure:
                 lines += line if ax is rotor else []
             ax.set(title=f"{winding} flux", ylim=(1e-13, 1e3), xlim=(1e-3, 10))
             ax.set(xlabel=TIME, ylabel=SIZE)
-        wrong = r"with 1/$L_s$ as printed, exact start, l. s."
+        wrong = "with 1/Lₛ as printed, exact start, l. s."
         lines += rotor.loglog(t, errors["rotor, as printed"], label=wrong, **STYLES[3])
         for i, part in enumerate(m.WINDINGS.values()):
             size = np.linalg.norm(run.hidden[:, part], axis=1)
@@ -43,7 +44,7 @@ def wrim(runs: Runs) -> Figure:
         flux.set(ylabel="size of the flux (Wb)", ylim=(0, None))
         flux.legend(loc="lower right")
         for error, i in zip(by_depth.values(), (3, 0), strict=True):
-            label = r"1/$L_s$ as printed" if i == 3 else r"1/$L_r$, corrected"
+            label = "1/Lₛ as printed" if i == 3 else "1/Lᵣ, corrected"
             depths.plot(depth, error, marker="o", markersize=3, label=label, **STYLES[i])
         depths.set(title="both windings fed", xlabel="modulation of the amplitudes (%)")
         depths.set_ylabel("largest rotor flux error,\nsettled (% of the flux)")
@@ -93,7 +94,7 @@ def interior_pmsm(runs: Runs) -> Figure:
                 ax.plot(m.RATIOS, middle, ".", color=color)
                 ax.plot(m.RATIOS, middle, label=label, **STYLES[i])
             ax.axhline(0.01 * unit * s.MAGNET, color="0.5", linewidth=0.8)
-            ax.set(title=title, xlim=(1, 3), xlabel=r"$L_q/L_d$ (1)")
+            ax.set(title=title, xlim=(1, 3), xlabel="L_q / L_d (1)")
             ax.set_ylabel("size of the flux error (mWb)")
         steady.set(ylim=(-0.1, 2.6))
         peak.set(ylim=(1e-6, 30), yscale="log")

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from ..drawing import STYLES, Figure
+from ...plot._figure import Figure
+from ...plot._style import STYLES
+from ...plot._text import symbol
 from .comparison_claims import best_differentiator
 from .figures import TIME, key
 from .records import INSTANTS
@@ -35,7 +37,7 @@ def _panels(runs: Runs) -> list[tuple[str, int, str]]:
 
 
 def _title(name: str, j: int) -> str:
-    return rf"{name}: $\dot q_{j + 1}$"
+    return f"{name}: {symbol(f'qdot{j + 1}')}"
 
 
 def moving_rms(error: np.ndarray) -> np.ndarray:
@@ -147,7 +149,7 @@ def model_errors(runs: Runs) -> Figure:
             line = ax.axhline(error, color="0.4", linewidth=1.0)
             lines.setdefault(-1, (line, ["best tuned differentiator"]))
             ax.set(title=_title(name, j), ylabel=f"rms error ({unit})", ylim=(2e-6, 0.2))
-            ax.set_xlabel(r"$\lambda$ (rad/s)")
+            ax.set_xlabel(r"λ (rad/s)")
             ax.tick_params(labelleft=True, labelbottom=True)
         handles = [line for line, _ in lines.values()]
         labels = ["\n".join(dict.fromkeys(words)) for _, words in lines.values()]

@@ -3,7 +3,9 @@
 import numpy as np
 
 from ..._simulate import Simulation
-from ..drawing import STYLES, Figure
+from ...plot._figure import Figure
+from ...plot._style import STYLES
+from ...plot._text import symbol
 from . import loops, settings as s
 from .runs import Runs
 
@@ -68,7 +70,7 @@ def identities(runs: Runs) -> Figure:
 
 def _label(gain: float, start: str) -> str:
     words = {"paper": "filters from zero", "exact": "exact start"}
-    return rf"A-ASLO, $\gamma$ = {gain:g} rad/s, {words[start]}"
+    return rf"A-ASLO, γ = {gain:g} rad/s, {words[start]}"
 
 
 def proposition4(runs: Runs) -> Figure:
@@ -76,8 +78,8 @@ def proposition4(runs: Runs) -> Figure:
     run, data = runs.leg, {"t_s": np.asarray(runs.leg.t)}
     observers = {
         "Prop. 4": "as printed",
-        "Prop. 4, F[1/z1]": "with $F[1/z_1]$",
-        "Prop. 4, corrected": r"with $F[1/z_1]$ and $-F[u_2]/(m_2\lambda)$",
+        "Prop. 4, F[1/z1]": "with F[1/z₁]",
+        "Prop. 4, corrected": "with F[1/z₁] and −F[u₂]/(m₂λ)",
     }
     units = s.leg().units
     for name in observers:
@@ -95,7 +97,7 @@ def proposition4(runs: Runs) -> Figure:
                 error = loops.error(run, name)[:, j]
                 line = ax.plot(run.t, error, label=label, **(style | wide))
                 lines += line if j == 0 else []
-            ax.set(xlabel=TIME, ylabel=f"error of $\\dot q_{j + 1}$ ({unit})")
+            ax.set(xlabel=TIME, ylabel=f"error of {symbol(f'qdot{j + 1}')} ({unit})")
             ax.set(xlim=(0, s.SPAN), ylim=(-0.6, 1.2))
         figure.legend(handles=lines, loc="outside lower center", ncols=3)
 
@@ -115,7 +117,7 @@ def friction(runs: Runs) -> Figure:
             runs.constant,
             {"integrated": "constant, integrated", "left out": "left out"},
         ),
-        "friction that varies with $q_1$": (
+        "friction that varies with q₁": (
             runs.varying,
             {"bounded": "varying, bounded form", "left out": "left out"},
         ),
