@@ -49,7 +49,8 @@ def styled(own: bool = True) -> Iterator[None]:
     if _styled:  # the inner of two
         yield
         return
-    with matplotlib.rc_context(_own_settings() if own else PLAIN):
+    settings: Any = _own_settings() if own else PLAIN
+    with matplotlib.rc_context(settings):
         _styled = True
         try:
             yield

@@ -1,5 +1,7 @@
 """Lines over time, as many points of them as can be seen."""
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -37,7 +39,7 @@ def shade(axes, t: Float[np.ndarray, " N"], coasting: Bool[np.ndarray, " N"]) ->
     if spans:
         from matplotlib.collections import PolyCollection
 
-        corners = [[(a, 0.0), (a, 1.0), (b, 1.0), (b, 0.0)] for a, b in spans]
+        corners: Any = [[(a, 0.0), (a, 1.0), (b, 1.0), (b, 0.0)] for a, b in spans]
         place = axes.get_xaxis_transform()
         axes.add_collection(
             PolyCollection(corners, transform=place, **SHADE), autolim=False

@@ -50,7 +50,7 @@ def bands(
     **Raises:** `ValueError` for a study without trajectories, for shapes or axes that do
     not fit; `ImportError` naming the command that installs matplotlib.
     """
-    found, t, unit, bound = _bands(study, t, unit, bound)
+    found, time, unit, bound = _bands(study, t, unit, bound)
     columns = min(3, len(found))
     rows = -(-len(found) // columns)
     places = {"width": WIDTH, "inch": 1.35, "inner": 0.34, "gaps": 0.45}
@@ -64,18 +64,18 @@ def bands(
             band = found[name]
             for other in found:
                 if other != name:
-                    panel.plot(t, _finite(found[other].median), color="0.75", lw=0.7)
+                    panel.plot(time, _finite(found[other].median), color="0.75", lw=0.7)
             low, high = _finite(band.low), _finite(band.high)
-            panel.fill_between(t, low, high, color=color(k), alpha=0.25, lw=0)
+            panel.fill_between(time, low, high, color=color(k), alpha=0.25, lw=0)
             gid = f"{name} worst"
-            panel.plot(t, _finite(band.worst), color=color(k), lw=0.7, gid=gid)
+            panel.plot(time, _finite(band.worst), color=color(k), lw=0.7, gid=gid)
             gid = f"{name} median"
-            panel.plot(t, _finite(band.median), color=color(k), gid=gid)
+            panel.plot(time, _finite(band.median), color=color(k), gid=gid)
             if bound is not None:
-                panel.plot(t, bound, gid="bound", **_DASHED)
+                panel.plot(time, bound, gid="bound", **_DASHED)
             panel.set_title(shortened(name, 30))
             _scaled(panel.yaxis, unit, limits)
-            panel.set_xlim(t[0], t[-1])
+            panel.set_xlim(time[0], time[-1])
             _ticks.linear(panel.xaxis, "s", 4)
             # The panel below carries the labels, where there is one.
             last = k + columns >= len(found) or axes is not None
@@ -185,10 +185,13 @@ def _bands(study: Any, t: Any, unit: str, bound: Any) -> "tuple[Any, Any, str, A
         raise ValueError("Argument `study` must hold the band of an observer.")
     shape = np.shape(next(iter(found.values())).median)
     for name, x in (("t", t), ("bound", bound)):
-        if np.shape(x) != shape and (x is not None or name == "t"):
+        if x is None and name == "bound":
+            continue
+        has = None if x is None else np.shape(x)
+        if has != shape:
             raise ValueError(
                 f"Argument `{name}` must have the shape {shape} of the bands, but has "
-                f"{np.shape(x)}; pass the instants of the study."
+                f"{has}; pass the instants of the study."
             )
     return found, np.asarray(t, float), unit, None if bound is None else np.asarray(bound)
 

@@ -120,7 +120,7 @@ def landscape(
         )
     low, high = np.nanmin(loss), max(np.nanmax(loss), np.nanmin(loss) * 1.001)
     of = "of the contours"
-    sizes = {"width": 6.5, "inch": 4.2, "right": 0.3}
+    sizes: dict[str, Any] = {"width": 6.5, "inch": 4.2, "right": 0.3}
     with drawing(figure, axes, [1.0], of=of, **sizes) as (drawn, (panel,)):
         from matplotlib.colors import LogNorm
 
@@ -175,7 +175,7 @@ def front(
     **Raises:** `ValueError` for axes that do not fit; `ImportError` naming the command that
     installs matplotlib.
     """
-    sizes = {"width": 6.5, "inch": 3.6}
+    sizes: dict[str, Any] = {"width": 6.5, "inch": 3.6}
     with drawing(figure, axes, [1.0], of="of the front", **sizes) as (drawn, (panel,)):
         panel.plot(*points.costs.T, "o-", color=color(0), label="training", gid="training")
         panel.plot(
