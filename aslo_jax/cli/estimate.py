@@ -10,13 +10,20 @@ import typer.core
 
 from .._extras import require
 from .options import (
+    AngleColumn,
+    AngleKind,
     Columns,
+    FrameName,
     LogFile,
     MachineFile,
     MaxGap,
+    MissingSamples,
+    MostMissing,
+    PowerInvariant,
     QuietSummary,
     double_precision,
     mapping,
+    reading,
 )
 from .outputs import refuse_overlap, staged
 
@@ -52,6 +59,12 @@ def estimate(
         Path | None, typer.Option(help="A figure as well: .png, .pdf or .svg.")
     ] = None,
     column: Columns = None,
+    frame: FrameName = "alpha-beta",
+    angle: AngleColumn = None,
+    angle_kind: AngleKind = None,
+    power_invariant: PowerInvariant = False,
+    missing: MissingSamples = "refuse",
+    most_missing: MostMissing = 10,
     cutoff: Annotated[
         float | None,
         typer.Option(
@@ -113,6 +126,15 @@ def estimate(
             columns=mapping(column),
             truth=truth,
             max_gap=max_gap,
+            **reading(
+                frame,
+                angle,
+                angle_kind,
+                power_invariant,
+                missing,
+                most_missing,
+                description.pole_pairs,
+            ),
         )
         with _progress(reader.t.size, quiet) as progress:
             done = tabulated(

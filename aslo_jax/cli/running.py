@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,8 +39,10 @@ def opened(
     columns: Mapping[str, str],
     truth: bool,
     max_gap: float | None,
+    **chain: Any,
 ) -> tuple[LogReader, Rates]:
-    """A log, read once and checked, and the rates of the observer for it."""
+    """A log, read once and checked, and the rates of the observer for it; `chain` is what
+    else [`LogReader`][] takes."""
     watched: list[Log] = []
     known = "cutoff" in machine.stated(given)
     reader = LogReader(
@@ -49,6 +52,7 @@ def opened(
         truth=truth,
         max_gap=max_gap,
         watch=lambda log: None if known else watched.append(machine.condensed(log)),
+        **chain,
     )
     if known:
         nothing = np.zeros((reader.t.size, 0))

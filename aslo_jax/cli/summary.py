@@ -88,9 +88,10 @@ class Summary:
     def lines(self) -> Iterator[str]:
         t, settings, signals = self.reader.t, self.machine.observer, self.machine.signals
         yield (
-            f"{self.reader.path.name}: {t.size} rows, {t[-1] - t[0]:.6g} s, median "
+            f"{self.reader.name}: {t.size} rows, {t[-1] - t[0]:.6g} s, median "
             f"interval {1e3 * self.interval:.4g} ms"
         )
+        yield from self.reader.said
         if signals.optional and not self.reader.optional:
             yield f"not in the log, taken as zero: {', '.join(signals.optional)}"
         names = [getattr(settings, key, "") for key in ("saliency", "completion")]
