@@ -58,8 +58,6 @@ def _of_mat(path: Path, unusable: dict[str, str]) -> Iterator[tuple[str, np.ndar
 
     try:
         content = loadmat(path, struct_as_record=False, squeeze_me=True)
-    except OSError:
-        raise
     except Exception as error:  # zlib, struct and scipy each have their own
         raise LogError(f"{path} is not a readable MATLAB file: {error}") from error
     for name, value in content.items():
@@ -147,7 +145,7 @@ def _series(
     if len(only) == 1 and "t" not in arrays:
         (first,) = only
         found["t"] = found.pop(first)
-        clocks = dict.fromkeys(clocks, "t")
+        clocks = dict.fromkeys([*clocks, "t"], "t")
     return found, clocks
 
 

@@ -97,7 +97,7 @@ def split_unit(header: str) -> tuple[str, str]:
     """Name and unit of a header such as `Time [ms]`, `n (rpm)`, `I_a/A`, `t in ms`, `t_ms`;
     the unit is empty where there is none."""
     header = header.strip()
-    if found := re.fullmatch(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]", header):
+    if found := re.fullmatch(r"(.+?)\s*[\[(]([^\[\]()]*\D[^\[\]()]*|)[\])]", header):
         return found[1].strip(), found[2].strip()
     for pattern in (
         r"([^/]*[^/\s])\s*/\s*([^/\s\d][^/]*(?:/[^/]+)?)",
