@@ -77,6 +77,8 @@ def _other_names(
         close = closest(mapped.get(name, name), names) + closest(name, names)
         if not close and name == "t":
             close = [head.base for head in fitting if head.kind == "time"]
+        if name == ANGLE:
+            close += [head.base for head in fitting if head.kind == "angle"]
         close = [names[base] for base in dict.fromkeys(close)]
         if not close:
             continue

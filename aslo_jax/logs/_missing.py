@@ -64,18 +64,16 @@ class Missing:
             if bad[0]:
                 raise _at_an_end(f"{label}, {where(first)}")
             self._fill(whole, signals, bad, good, first, where, label)
+            # The last good row, and what comes after it, is for the next batch.
             last = int(good[-1])
-            if last == bad.size - 1:
-                held, done = {}, bad.size
-            else:  # what comes after is filled with the next batch
-                held, done = {k: x[last:] for k, x in whole.items()}, last
-            if done:
-                yield {k: x[:done] for k, x in whole.items()}
-            first += done
+            held = {k: x[last:] for k, x in whole.items()}
+            if last:
+                yield {k: x[:last] for k, x in whole.items()}
+            first += last
+        if held and (bad := _bad(held, signals)).any():
+            raise _at_an_end(f"{label}, {where(first + int(np.argmax(bad)))}")
         if held:
-            raise _at_an_end(
-                f"{label}, {where(first + int(np.argmax(_bad(held, signals))))}"
-            )
+            yield held
 
     def _count(self, bad: np.ndarray) -> None:
         self.rows += int(bad.sum())
