@@ -223,3 +223,52 @@ def test_blanks_and_words_for_nothing_are_missing(tmp_path):
         LogReader(tmp_path / "log.csv")
     (log,) = LogReader(tmp_path / "log.csv", missing="interpolate").pieces(9)
     np.testing.assert_array_equal(log.y[:, 0], np.arange(9.0))
+
+
+def scored(capsys, folder: Path, columns, *options) -> tuple[dict[str, np.ndarray], str]:
+    capsys.readouterr()
+    return estimated(folder, columns, *options), capsys.readouterr().out
+
+
+def test_bias_and_scatter_are_told_apart(tmp_path, motor, capsys):
+    """An encoder mounted with an offset, near half a turn where errors wrap, and noise."""
+    noise = 0.02 * np.random.default_rng(3).normal(size=motor["t"].size)
+    truth = {"theta_electrical": motor["theta_electrical"] + np.pi - 0.03 + noise}
+    log = motor | truth
+    table, said = scored(capsys, tmp_path, log)
+    line = next(line for line in said.splitlines() if "angle, from" in line)
+    bias, scatter = (
+        float(line.partition(word)[2].split()[0].strip(","))
+        for word in ("bias ", "scatter ")
+    )
+    assert abs(abs(bias) - np.degrees(np.pi - 0.03)) < 0.3
+    assert abs(scatter - np.degrees(0.02)) < 0.12
+    aligned, said = scored(capsys, tmp_path, log, "--align")
+    assert "was removed" in said
+    late = aligned["t"] > 0.06
+    assert abs(np.mean(aligned["error_theta_electrical"][late])) < 3e-3
+    moved = np.angle(np.exp(1j * table["error_theta_electrical"][late]))
+    assert np.abs(moved).min() > 3.0
+    for name in ("flux_alpha", "theta_electrical"):  # the estimate stays
+        np.testing.assert_array_equal(aligned[name], table[name])
+
+
+def test_any_truth_is_scored(tmp_path, motor, capsys):
+    bare = {name: x for name, x in motor.items() if name in ("t", *sum(PAIRS.values(), ()))}
+    shaft = {"theta_m [deg]": np.degrees(motor["theta_electrical"] / 4.0)}
+    table, said = scored(capsys, tmp_path, bare | shaft)
+    assert "angle, from" in said and "flux, from" not in said
+    late = table["t"] > 0.06
+    assert np.abs(table["error_theta_electrical"][late]).max() < 5e-3
+    part = {"psi_beta": np.full(motor["t"].size, 0.1)}
+    table, said = scored(capsys, tmp_path, bare | part)
+    assert "flux_beta: error, bias" in said
+    np.testing.assert_allclose(table["error_flux_beta"], table["flux_beta"] - 0.1)
+
+
+def test_truth_that_is_missing_is_not_scored(tmp_path, motor, capsys):
+    holed = np.where(np.arange(motor["t"].size) % 3 == 1, np.nan, motor["theta_electrical"])
+    _, said = scored(
+        capsys, tmp_path, motor | {"theta_electrical": holed}, "--missing", "interpolate"
+    )
+    assert "nan" not in said and "angle, from" in said

@@ -90,6 +90,14 @@ def estimate(
     truth: Annotated[
         bool, typer.Option(help="Read the truth columns, where there are any, and score.")
     ] = True,
+    align: Annotated[
+        bool,
+        typer.Option(
+            "--align",
+            help="Take the bias of the angle, as an encoder that is mounted with an offset "
+            "has it, from its error; it is stated in the summary.",
+        ),
+    ] = False,
     quiet: QuietSummary = False,
 ) -> None:
     """Estimate what no sensor of a machine measures over a LOG."""
@@ -138,7 +146,7 @@ def estimate(
         )
         with _progress(reader.t.size, quiet) as progress:
             done = tabulated(
-                reader, description, rates, substeps, parts[0], bool(plot), progress
+                reader, description, rates, substeps, parts[0], bool(plot), progress, align
             )
         if plot:
             from .figure import save_figure

@@ -22,6 +22,7 @@ class Signals:
         "flux_alpha",
         "flux_beta",
         "theta_electrical",
+        "theta_mechanical",
         "omega_electrical",
         "omega_mechanical",
     )
