@@ -14,6 +14,8 @@ LAYERS = (
     {"schema"},
     {"machines", "tune"},
     {"study"},
+    {"plot"},
+    {"_report"},
     {"described"},
     {"paper"},
     {"cli"},
@@ -31,7 +33,8 @@ PHASES = (
 
 def imports(root: Path, package: str) -> dict[str, set[str]]:
     """The modules of a package that each of them imports, wherever in the file, and for
-    type checkers too."""
+    type checkers too: but for the faces of packages, which name for these what they import
+    when it is asked for."""
     files = {}
     for path in (root / package).rglob("*.py"):
         parts = path.relative_to(root).with_suffix("").parts
@@ -40,7 +43,10 @@ def imports(root: Path, package: str) -> dict[str, set[str]]:
     for module, path in files.items():
         home = module.split(".")
         home = home if path.name == "__init__.py" else home[:-1]
-        nodes = list(ast.walk(ast.parse(path.read_text("utf-8"))))
+        tree = ast.parse(path.read_text("utf-8"))
+        if path.name == "__init__.py":
+            tree.body = [node for node in tree.body if not _for_checkers(node)]
+        nodes = list(ast.walk(tree))
         names = [
             name
             for node in nodes
@@ -50,6 +56,10 @@ def imports(root: Path, package: str) -> dict[str, set[str]]:
         owners = (_owner(name, files) for name in names)
         found[module] = {each for each in owners if each} - {module}
     return found
+
+
+def _for_checkers(node: ast.stmt) -> bool:
+    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
 
 
 def _names(node: ast.Import | ast.ImportFrom, home: list[str]) -> list[str]:

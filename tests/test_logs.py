@@ -1,5 +1,6 @@
 """Logs: what is read is what was recorded, and what cannot be used is refused by place."""
 
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -201,14 +202,16 @@ def test_a_bad_file_is_refused(tmp_path, fault):
 
 
 def test_a_misnamed_column_is_suggested_with_its_option(tmp_path):
-    header = "Time [s],Ualpha,u_beta,I_ALPHA,i_beta"
+    header = "Clock of time,Ualph volts,u_beta,I_ALPHAA,i_beta"
     path = write(tmp_path / "log.csv", [header, *lines()[1:]])
     message = refusal(path)
     assert "no columns `t`, `u_alpha`, `i_alpha`" in message
-    for option in ("t=Time [s]", "u_alpha=Ualpha", "i_alpha=I_ALPHA"):
+    for option in ("'t=Clock of time'", "'u_alpha=Ualph volts'", "i_alpha=I_ALPHAA"):
         assert f"--column {option}" in message
     assert "u_beta=" not in message
-    read_log(path, columns={"t": "Time [s]", "u_alpha": "Ualpha", "i_alpha": "I_ALPHA"})
+    pasted = shlex.split(message.partition("another name: ")[2].partition(" (in Py")[0])
+    columns = dict(option.split("=") for option in pasted if option != "--column")
+    assert_is_table(read_log(path, columns=columns))
 
 
 def test_a_bad_mapping_is_refused(tmp_path):
@@ -235,10 +238,10 @@ def test_what_is_not_a_log_file(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"none\.csv does not exist"):
         read_log(tmp_path / "none.csv")
     assert "is a directory" in refusal(tmp_path)
-    (tmp_path / "log.txt").write_text("t")
-    assert "'.txt', but a table is one of .csv, .parquet, .npz" in refusal(
-        tmp_path / "log.txt"
-    )
+    (tmp_path / "log.doc").write_text("t")
+    assert "'.doc', but a log is one of .csv, .txt" in refusal(tmp_path / "log.doc")
+    with pytest.raises(LogError, match=r"'\.txt', but a table is one of .*\.parquet"):
+        check_suffix(tmp_path / "log.txt")
     for suffix in (".parquet", ".npz"):
         path = tmp_path / f"log{suffix}"
         path.write_text("t,u_alpha\n")
@@ -257,7 +260,10 @@ def test_what_is_not_a_log_file(tmp_path):
         (np.zeros(39), "column `u_alpha` has 39 entries, but `t` has 40"),
         (np.zeros(40, complex), "column `u_alpha` holds complex128"),
         (np.array(["a"] * 40), "column `u_alpha` holds <U1"),
-        (np.array([None] * 40), "not a readable NPZ file of named numeric arrays"),
+        (
+            np.array([None] * 40),
+            "column `u_alpha` is not numeric: it holds an array of Py",
+        ),
         (np.where(np.arange(40) == 7, np.inf, 0), "row 7 (counted from 0), column `u_al"),
     ],
 )
@@ -320,16 +326,17 @@ def test_signals_of_another_system(tmp_path):
 
 
 def test_a_mapping_to_no_column_shows_what_is_close_to_it(tmp_path):
-    text = ["t,Ualpha,Ubeta,Ialpha [A],Ibeta [A]", *lines()[1:]]
+    text = ["t,Ualpha,Ubeta,Ialpha mean,Ibeta [A]", *lines()[1:]]
     path = write(tmp_path / "log.csv", text)
-    names = {"u_alpha": "Ualpha", "u_beta": "Ubeta", "i_beta": "Ibeta [A]"}
-    message = refusal(path, columns=names | {"i_alpha": "Ialpha"})
+    message = refusal(path, columns={"i_alpha": "Ialpha"})
     assert "no column `Ialpha`" in message
-    assert "--column i_alpha=Ialpha [A] (close to it: `Ialpha [A]`)" in message
+    assert "--column 'i_alpha=Ialpha mean' (close to it: `Ialpha mean`)" in message
     # What the user wrote goes before what it is called here.
     text = [
         "t,u_alpha,u_beta,i_alph,i_beta,phase current",
         *(f"{k},0,0,0,0,0" for k in "01"),
     ]
     message = refusal(write(path, text), columns={"i_alpha": "phase_curent"})
-    assert "--column i_alpha=phase current (close to it: `phase current`, `i_al" in message
+    assert (
+        "--column 'i_alpha=phase current' (close to it: `phase current`, `i_al" in message
+    )

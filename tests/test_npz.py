@@ -7,8 +7,15 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from aslo_jax import _log_files, _npz, logs
-from aslo_jax.logs import LogError, LogReader, TableWriter, read_log, write_table
+from aslo_jax.logs import (
+    LogError,
+    LogReader,
+    TableWriter,
+    _npz,
+    _source,
+    read_log,
+    write_table,
+)
 
 NAMES = ["t", "u_alpha", "u_beta", "i_alpha", "i_beta"]
 
@@ -73,7 +80,7 @@ def test_a_piece_unlike_the_first_is_refused(tmp_path, second, message):
 
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
 def test_a_log_comes_in_batches(tmp_path, monkeypatch, save):
-    monkeypatch.setattr(_log_files, "BATCH", 30)
+    monkeypatch.setattr(_source, "BATCH", 30)
     columns = piece(0, 100)
     columns["u_beta"] = columns["u_beta"].astype(">f4")
     columns["i_beta"] = np.arange(100, dtype=np.int16)
@@ -117,8 +124,8 @@ def peak(run):
 
 def test_memory_does_not_grow_with_the_rows(tmp_path, monkeypatch):
     """But for t, which is read as a whole; ten times the rows."""
-    monkeypatch.setattr(logs, "KEPT", 0)
-    monkeypatch.setattr(_log_files, "BATCH", 5000)
+    monkeypatch.setattr(_reader, "KEPT", 0)
+    monkeypatch.setattr(_source, "BATCH", 5000)
     monkeypatch.setattr(_npz, "CHUNK", 1 << 15)
     rows = 5000
     writing, reading = [], []

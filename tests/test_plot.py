@@ -12,7 +12,8 @@ import pytest
 import xarray as xr
 
 import aslo_jax as aslo
-from aslo_jax.plot import _canvas, _lines, _text
+from aslo_jax import _text
+from aslo_jax.plot import _canvas, _lines
 from aslo_jax.study.bands import Band
 from aslo_jax.tune import Fitted, Front, History, Surface
 

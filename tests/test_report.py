@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from aslo_jax._report import write_report
 from aslo_jax.study.bands import bands
 from aslo_jax.study.formats import number
-from aslo_jax.study.report import write_report
 from aslo_jax.study.sensitivity import Index
 from aslo_jax.study.statistics import Interval, proportion, quantile, rms
 from aslo_jax.study.tables import table

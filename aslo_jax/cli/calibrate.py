@@ -8,14 +8,21 @@ import typer
 
 from .._extras import require
 from .options import (
+    AngleColumn,
+    AngleKind,
     BeforeAndAfter,
     Columns,
+    FrameName,
     LogFile,
     MachineFile,
     MaxGap,
+    MissingSamples,
+    MostMissing,
+    PowerInvariant,
     QuietTable,
     double_precision,
     mapping,
+    reading,
 )
 from .outputs import refuse_overlap, staged
 
@@ -40,6 +47,12 @@ def calibrate(
         ),
     ] = None,
     column: Columns = None,
+    frame: FrameName = "alpha-beta",
+    angle: AngleColumn = None,
+    angle_kind: AngleKind = None,
+    power_invariant: PowerInvariant = False,
+    missing: MissingSamples = "refuse",
+    most_missing: MostMissing = 10,
     cutoff: Annotated[
         float | None,
         typer.Option(
@@ -85,7 +98,20 @@ def calibrate(
     with staged(*outputs.values()) as parts:
         columns = mapping(column)
         recorded = read_log(
-            log, description.signals, columns=columns, truth=False, max_gap=max_gap
+            log,
+            description.signals,
+            columns=columns,
+            truth=False,
+            max_gap=max_gap,
+            **reading(
+                frame,
+                angle,
+                angle_kind,
+                power_invariant,
+                missing,
+                most_missing,
+                description.pole_pairs,
+            ),
         )
         found = calibrate_machine(
             description,

@@ -11,13 +11,20 @@ import typer.core
 
 from .._extras import require
 from .options import (
+    AngleColumn,
+    AngleKind,
     Columns,
+    FrameName,
     LogFile,
     MachineFile,
     MaxGap,
+    MissingSamples,
+    MostMissing,
+    PowerInvariant,
     QuietSummary,
     double_precision,
     mapping,
+    reading,
 )
 from .outputs import refuse_overlap, staged
 
@@ -55,6 +62,12 @@ def estimate(
         Path | None, typer.Option(help="A figure as well: .png, .pdf or .svg.")
     ] = None,
     column: Columns = None,
+    frame: FrameName = "alpha-beta",
+    angle: AngleColumn = None,
+    angle_kind: AngleKind = None,
+    power_invariant: PowerInvariant = False,
+    missing: MissingSamples = "refuse",
+    most_missing: MostMissing = 10,
     cutoff: Annotated[
         float | None,
         typer.Option(
@@ -80,6 +93,14 @@ def estimate(
     truth: Annotated[
         bool, typer.Option(help="Read the truth columns, where there are any, and score.")
     ] = True,
+    align: Annotated[
+        bool,
+        typer.Option(
+            "--align",
+            help="Take the bias of the angle, as an encoder that is mounted with an offset "
+            "has it, from its error; it is stated in the summary.",
+        ),
+    ] = False,
     quiet: QuietSummary = False,
 ) -> None:
     """Estimate what no sensor of a machine measures over a LOG."""
@@ -116,10 +137,19 @@ def estimate(
             columns=mapping(column),
             truth=truth,
             max_gap=max_gap,
+            **reading(
+                frame,
+                angle,
+                angle_kind,
+                power_invariant,
+                missing,
+                most_missing,
+                description.pole_pairs,
+            ),
         )
         with _progress(reader.t.size, quiet) as progress:
             done = tabulated(
-                reader, description, rates, substeps, parts[0], bool(plot), progress
+                reader, description, rates, substeps, parts[0], bool(plot), progress, align
             )
         if plot:
             from .figure import save_figure

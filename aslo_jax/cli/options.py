@@ -1,11 +1,17 @@
 """Arguments and options that several commands take."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-LogFile = Annotated[Path, typer.Argument(help="The log: .csv, .parquet or .npz.")]
+LogFile = Annotated[
+    Path,
+    typer.Argument(
+        help="The log: text (.csv, .txt, .tsv, .dat, or these in .gz), .parquet, .npz, "
+        ".mat or .tdms."
+    ),
+]
 MachineFile = Annotated[Path, typer.Option(help="The machine, a TOML file.")]
 BeforeAndAfter = Annotated[
     Path | None, typer.Option(help="A figure, before and after: .png, .pdf or .svg.")
@@ -14,8 +20,54 @@ Columns = Annotated[
     list[str] | None,
     typer.Option(
         metavar="NAME=COLUMN",
-        help="What the log calls a column, for instance u_alpha=Ualpha; repeatable.",
+        help="What the log calls a column, for instance u_alpha=Ualpha, where it is not "
+        "found by its name; or an expression over columns as they are, 't=Time*1e-3'; "
+        "repeatable.",
     ),
+]
+FrameName = Annotated[
+    str,
+    typer.Option(
+        metavar="FRAME",
+        help="Frame of the log: alpha-beta; dq, columns u_d, u_q, i_d, i_q turned by the "
+        "angle of their row; or abc, two or three phases u_a, u_b, u_c, i_a, i_b, i_c.",
+    ),
+]
+AngleColumn = Annotated[
+    str | None,
+    typer.Option(
+        metavar="COLUMN",
+        help="Column of the angle of --frame dq, or an expression; by default one whose "
+        "name says that it is electrical.",
+    ),
+]
+AngleKind = Annotated[
+    str | None,
+    typer.Option(
+        metavar="KIND",
+        help="Of that angle: electrical, or mechanical, times the machine's pole pairs; "
+        "electrical by default.",
+    ),
+]
+PowerInvariant = Annotated[
+    bool,
+    typer.Option(
+        "--power-invariant",
+        help="alpha, beta, d and q of the log are power-invariant, sqrt(3/2) times the "
+        "amplitude-invariant ones.",
+    ),
+]
+MissingSamples = Annotated[
+    str,
+    typer.Option(
+        metavar="WAY",
+        help="What to do of a sample that is blank or not finite: refuse the log; coast, "
+        "let the observer go on without; or interpolate by straight lines.",
+    ),
+]
+MostMissing = Annotated[
+    int,
+    typer.Option(min=1, help="Rows next to each other that are interpolated at most."),
 ]
 MaxGap = Annotated[
     float | None,
@@ -27,6 +79,25 @@ QuietSummary = Annotated[
 QuietTable = Annotated[
     bool, typer.Option("--quiet", "-q", help="Neither table nor progress.")
 ]
+
+
+def reading(
+    frame: str,
+    angle: str | None,
+    angle_kind: str | None,
+    power_invariant: bool,
+    missing: str,
+    most_missing: int,
+    pole_pairs: int | None,
+) -> dict[str, Any]:
+    """What `read_log` takes, of the options above and the machine's `pole_pairs`."""
+    from ..logs import Frame
+
+    return {
+        "frame": Frame(frame, angle, angle_kind, pole_pairs, power_invariant),
+        "missing": missing,
+        "most_missing": most_missing,
+    }
 
 
 def double_precision() -> None:

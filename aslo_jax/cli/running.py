@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,8 +39,10 @@ def opened(
     columns: Mapping[str, str],
     truth: bool,
     max_gap: float | None,
+    **chain: Any,
 ) -> tuple[LogReader, Rates]:
-    """A log, read once and checked, and the rates of the observer for it."""
+    """A log, read once and checked, and the rates of the observer for it; `chain` is what
+    else [`LogReader`][] takes."""
     watched: list[Log] = []
     known = "cutoff" in machine.stated(given)
     reader = LogReader(
@@ -49,15 +52,19 @@ def opened(
         truth=truth,
         max_gap=max_gap,
         watch=lambda log: None if known else watched.append(machine.condensed(log)),
+        **chain,
     )
     if known:
         nothing = np.zeros((reader.t.size, 0))
         return reader, machine.rates_of(Log(reader.t, nothing, nothing, {}), given)
     joined = lambda pieces: np.concatenate(list(pieces))
-    condensed = Log(
-        reader.t, joined(x.u for x in watched), joined(x.y for x in watched), {}
-    )
+    u, y = joined(x.u for x in watched), joined(x.y for x in watched)
     watched.clear()
+    there = np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)
+    if not there.all():  # samples that are missing are left to the observer
+        condensed = Log(reader.t[there], u[there], y[there], {})
+    else:
+        condensed = Log(reader.t, u, y, {})
     return reader, machine.rates_of(condensed, given)
 
 
@@ -69,15 +76,19 @@ def tabulated(
     out: Path,
     drawn: bool,
     progress: Callable[[int], object],
+    align: bool = False,
 ) -> Done:
     """Write the table of estimates to `out`; `progress` is told of rows as they are done.
 
     A phase-locked loop starts where its angle is certified. Where it never is, which the
-    end of the log tells, the loop starts in the first row: the log is run again."""
-    for first in (None, 0):
+    end of the log tells, the loop starts in the first row: the log is run again. So it is
+    to take the bias of angles from their errors, with `align`."""
+    first, offsets, again = None, dict[str, float](), False
+    while True:
         summary = Summary(reader, machine, rates, substeps)
+        summary.offsets = offsets
         trace = Trace(machine, reader.t.size)
-        estimator = Estimator(machine, rates, reader.t, substeps, first)
+        estimator = Estimator(machine, rates, reader.t, substeps, first, offsets)
         with TableWriter(out) as writer:
             for log in reader.pieces(table.PIECE):
                 piece = estimator(log)
@@ -85,8 +96,12 @@ def tabulated(
                 summary.add(piece)
                 if drawn:
                     trace.add(piece, log)
-                if first is None:
+                if not again:
                     progress(log.t.size - 1)
-        if estimator.complete:
-            break
-    return Done(summary, trace, estimator.observed.slow)
+        again = True
+        if not estimator.complete:
+            first = 0
+        elif align and not offsets and summary.biases():
+            offsets = summary.biases()
+        else:
+            return Done(summary, trace, estimator.observed.slow)

@@ -134,9 +134,9 @@ def _report(
 ) -> Path:
     """Write the report, with the bound where there is one."""
     # Not for those who do not want one: scipy.stats is slow to import.
+    from .._report import write_report
     from ..study import open_study
     from ..study.reference import with_reference
-    from ..study.report import write_report
 
     dataset = open_study(out / STORE)
     # A store has no order of its own; the file's is the one of importance.

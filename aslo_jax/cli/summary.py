@@ -14,18 +14,49 @@ from .table import Piece
 
 @dataclasses.dataclass
 class _Squares:
-    """The root mean square of numbers that come piece by piece."""
+    """The root mean square of numbers that come piece by piece, without those that are not
+    finite."""
 
     total: float = 0.0
     count: int = 0
 
     def add(self, x: Float[np.ndarray, " N"]) -> None:
+        x = x[np.isfinite(x)]
         self.total += float(np.sum(x**2))
         self.count += x.size
 
     @property
     def rms(self) -> float:
         return float(np.sqrt(self.total / max(self.count, 1)))
+
+
+@dataclasses.dataclass
+class _Errors:
+    """Bias and scatter of errors that come piece by piece: mean and standard deviation, of
+    angles the circular ones (Mardia and Jupp, *Directional Statistics*, 2.3)."""
+
+    angle: bool
+    count: int = 0
+    total: complex = 0j
+    squares: float = 0.0
+
+    def add(self, error: Float[np.ndarray, " N"]) -> None:
+        error = error[np.isfinite(error)]
+        self.count += error.size
+        self.total += complex(np.sum(np.exp(1j * error) if self.angle else error))
+        self.squares += float(np.sum(error**2))
+
+    @property
+    def bias(self) -> float:
+        mean = self.total / max(self.count, 1)
+        return float(np.angle(mean)) if self.angle else mean.real
+
+    @property
+    def scatter(self) -> float:
+        mean = self.total / max(self.count, 1)
+        if self.angle:
+            return float(np.sqrt(max(-2.0 * np.log(max(abs(mean), 1e-300)), 0.0)))
+        return float(np.sqrt(max(self.squares / max(self.count, 1) - mean.real**2, 0.0)))
 
 
 class Summary:
@@ -47,7 +78,8 @@ class Summary:
         self.settled: dict[str, float] = {}  # from when on (s), by suffix
         self.scored = False
         self.relative: dict[str, list[Float[np.ndarray, " n"]]] = {}
-        self.errors: dict[str, _Squares] = {}
+        self.offsets: dict[str, float] = {}  # removed from errors (rad), by column
+        self.errors: dict[str, _Errors] = {}
         self.sizes: dict[str, _Squares] = {}
         self.all_sizes: dict[str, _Squares] = {}
 
@@ -72,25 +104,30 @@ class Summary:
         kept = self.relative.setdefault(quantity.name, [])
         if quantity.name in piece.residuals:
             kept.append(piece.residuals[quantity.name][rows])
-        elif not set(quantity.columns) <= piece.truth.keys():
-            return
-        elif len(quantity.columns) > 1:
+        elif set(quantity.columns) <= piece.truth.keys() and len(quantity.columns) > 1:
             kept.append(relative_error(quantity, piece)[rows])
         else:
-            name = next(iter(quantity.columns))
-            for sums, x in (
-                (self.errors, piece.columns[f"error_{name}"][rows]),
-                (self.sizes, piece.truth[name][rows]),
-                (self.all_sizes, piece.truth[name]),
-            ):
-                sums.setdefault(name, _Squares()).add(x)
+            for name in filter(piece.truth.__contains__, quantity.columns):
+                error = self.errors.setdefault(name, _Errors(quantity.angle))
+                error.add(piece.columns[f"error_{name}"][rows])
+                for sums, x in (
+                    (self.sizes, piece.truth[name][rows]),
+                    (self.all_sizes, piece.truth[name]),
+                ):
+                    sums.setdefault(name, _Squares()).add(x)
+
+    def biases(self) -> dict[str, float]:
+        """The mean errors of the angles (rad), by column."""
+        angles = [q.columns[0] for q in self.machine.quantities if q.angle]
+        return {n: self.errors[n].bias for n in angles if n in self.errors}
 
     def lines(self) -> Iterator[str]:
         t, settings, signals = self.reader.t, self.machine.observer, self.machine.signals
         yield (
-            f"{self.reader.path.name}: {t.size} rows, {t[-1] - t[0]:.6g} s, median "
+            f"{self.reader.name}: {t.size} rows, {t[-1] - t[0]:.6g} s, median "
             f"interval {1e3 * self.interval:.4g} ms"
         )
+        yield from self.reader.said
         if signals.optional and not self.reader.optional:
             yield f"not in the log, taken as zero: {', '.join(signals.optional)}"
         names = [getattr(settings, key, "") for key in ("saliency", "completion")]
@@ -118,16 +155,27 @@ class Summary:
         if kept := self.relative.get(quantity.name):
             of = "relative error, " if self.scored else ""
             x = np.concatenate(kept)
+            x = x[~np.isnan(x)]  # where the truth is missing
+            if not x.size:
+                return
             largest = x.max()
             middle = np.median(x, overwrite_input=True)
             yield f"{of}median {middle:.2g}, max {largest:.2g}"
-        elif quantity.columns[0] in self.errors:
-            (name,) = quantity.columns
-            error, size = self.errors[name].rms, self.sizes[name].rms
+        for name in filter(self.errors.__contains__, quantity.columns):
+            error, which = self.errors[name], f"{name}: " * (len(quantity.columns) > 1)
+            bias, scatter = error.bias, error.scatter
             if quantity.angle:
-                yield f"error, rms {np.degrees(error):.2g} electrical degrees"
+                text = f"bias {np.degrees(bias):.3g}, scatter {np.degrees(scatter):.2g}"
+                removed = self.offsets.get(name)
+                if removed is not None:
+                    text += f", after a bias of {np.degrees(removed):.4g} was removed"
+                yield f"error, {text} electrical degrees"
             else:
-                yield f"error, rms {error:.2g} {quantity.unit} (of {size:.3g})"
+                size = self.sizes[name].rms
+                yield (
+                    f"{which}error, bias {bias:.2g}, scatter {scatter:.2g} "
+                    f"{quantity.unit} (of {size:.3g})"
+                )
 
     def warnings(self) -> Iterator[str]:
         sampled = f"{1.0 / self.interval:.4g} rows a second"

@@ -2,6 +2,7 @@
 
 import dataclasses
 import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -74,6 +75,7 @@ class Estimator:
 
     - `t`: every instant of the log (s), whose pieces come in order;
     - `first`: the row in which the loops start, by default the first certified one;
+    - `offsets`: what is taken from the errors of angles (rad), by column;
     - `starts`: by suffix, the first certified row, once there is one.
     """
 
@@ -84,8 +86,10 @@ class Estimator:
         t: Float[np.ndarray, " N"],
         substeps: int = 4,
         first: int | None = None,
+        offsets: Mapping[str, float] | None = None,
     ):
         self.machine, self.starts = machine, dict[str, int]()
+        self.offsets = offsets or {}
         interval = common_interval(t)
         self.observed = Replayed(machine.state_observer(rates), interval, substeps)
         self._tracked = [q for q in machine.quantities if q.tracks is not None]
@@ -174,7 +178,7 @@ class Estimator:
         columns = {"t": t} | {name: found[name] for name in names}
         angles = [q.columns[0] for q in quantities if q.angle]
         for name, true in truth.items():
-            error = columns[name] - true
+            error = columns[name] - true - self.offsets.get(name, 0.0)
             columns[f"error_{name}"] = _wrapped(error) if name in angles else error
         return columns
 

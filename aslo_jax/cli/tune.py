@@ -6,7 +6,21 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .._extras import require
-from .options import BeforeAndAfter, QuietTable, double_precision
+from .options import (
+    AngleColumn,
+    AngleKind,
+    BeforeAndAfter,
+    Columns,
+    FrameName,
+    MaxGap,
+    MissingSamples,
+    MostMissing,
+    PowerInvariant,
+    QuietTable,
+    double_precision,
+    mapping,
+    reading,
+)
 from .outputs import refuse_overlap, staged
 
 if TYPE_CHECKING:
@@ -28,10 +42,18 @@ def tune(
     log: Annotated[
         Path | None,
         typer.Option(
-            help="Calibrate the machine and the noise of its sensor from this log first: "
-            ".csv, .parquet or .npz."
+            help="Calibrate the machine and the noise of its sensor from this log first, "
+            "of any format that `aslo-jax estimate` reads."
         ),
     ] = None,
+    column: Columns = None,
+    frame: FrameName = "alpha-beta",
+    angle: AngleColumn = None,
+    angle_kind: AngleKind = None,
+    power_invariant: PowerInvariant = False,
+    missing: MissingSamples = "refuse",
+    most_missing: MostMissing = 10,
+    max_gap: MaxGap = None,
     samples: Annotated[int, typer.Option(min=1, help="Of the file's spread.")] = 128,
     seed: Annotated[int, typer.Option(min=0, help="Of everything that is random.")] = 0,
     iterations: Annotated[int, typer.Option(min=1, help="Of each search at most.")] = 40,
@@ -71,9 +93,23 @@ def tune(
         values: dict = {}
         if log is not None:
             signals = machine_of(content).signals
-            found, values = calibrate_study(
-                content, read_log(log, signals, truth=False), progress=say
+            recorded = read_log(
+                log,
+                signals,
+                columns=mapping(column),
+                truth=False,
+                max_gap=max_gap,
+                **reading(
+                    frame,
+                    angle,
+                    angle_kind,
+                    power_invariant,
+                    missing,
+                    most_missing,
+                    content["machine"].get("pole_pairs"),
+                ),
             )
+            found, values = calibrate_study(content, recorded, progress=say)
             content = changed(content, values)
             if not quiet:
                 typer.echo(str(found))

@@ -177,6 +177,11 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         return self.layout
 
     @property
+    def pole_pairs(self) -> int | None:
+        """The number of pole pairs of its `[machine]`, if it has any."""
+        return getattr(self.machine, "pole_pairs", None)
+
+    @property
     def signals(self) -> Signals:
         """The columns of a log, in and for scoring."""
         return self.columns_of_log().signals

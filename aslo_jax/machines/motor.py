@@ -32,7 +32,7 @@ LONGEST_INTERVAL = 5e-3  # s: 200 Hz, or 200 kHz with time in milliseconds
 FLUX = ("flux_alpha", "flux_beta")
 ANGLE, SPEED = "theta_electrical", "omega_electrical"
 LAYOUT = Layout(
-    Signals(truth=(*FLUX, ANGLE, SPEED, "omega_mechanical")),
+    Signals(truth=(*FLUX, ANGLE, "theta_mechanical", SPEED, "omega_mechanical")),
     (
         Quantity("flux", FLUX, "Wb", turns=True),
         Quantity("angle", (ANGLE,), "rad", angle=True),
@@ -117,11 +117,12 @@ def motor_columns(estimate: Any, magnet: Float[np.ndarray, "N 2"]) -> Columns:
 
 
 def motor_truth(log: Log, pole_pairs: int) -> Columns:
-    """The truth, with the electrical speed from the mechanical one unless it is given."""
+    """The truth, with the electrical angle and speed from the mechanical ones unless they
+    are given."""
     truth = dict(log.truth)
-    if "omega_mechanical" in truth:
-        truth.setdefault(SPEED, pole_pairs * truth["omega_mechanical"])
-        del truth["omega_mechanical"]
+    for name, electrical in (("theta_mechanical", ANGLE), ("omega_mechanical", SPEED)):
+        if name in truth:
+            truth.setdefault(electrical, pole_pairs * truth.pop(name))
     return {name: truth[name] for name in (*FLUX, ANGLE, SPEED) if name in truth}
 
 

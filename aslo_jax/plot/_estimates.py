@@ -7,11 +7,11 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from .._series import Track, instants, names_of, tracks
+from .._text import symbol, with_unit
 from . import _ticks
 from ._canvas import drawing, legend
 from ._lines import positive, shade, thinned
 from ._style import BLACK, TRUTH, style
-from ._text import symbol, with_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

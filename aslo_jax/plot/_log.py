@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from .._text import measured_unit, symbol, with_unit
 from ..machines import Quantity
 from . import _ticks
 from ._canvas import LEFT, Canvas, grid, legend, shortened, styled
 from ._lines import shade
 from ._style import BLACK, TRUTH, color, style
-from ._text import measured_unit, symbol, with_unit
 
 PERIODS = 2  # shown of what turns, at the start and at the end
 RPM = 60.0 / (2.0 * np.pi)  # of a rad/s

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jax.typing import ArrayLike
 
+from .._text import with_unit
 from . import _ticks
 from ._canvas import drawing, shortened, width_of
 from ._figure import WIDTH
 from ._style import BLACK, SETTINGS, color
-from ._text import with_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from .._extras import require
-from ._text import mark
+from .._text import mark
 
 ticker = require("matplotlib.ticker", "plot")
 

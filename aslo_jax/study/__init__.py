@@ -16,11 +16,11 @@ from .run import open_study as open_study, run as run
 from .spread import Parameter as Parameter, Spread as Spread
 
 if TYPE_CHECKING:
+    from .._report import write_report as write_report
     from .bound import Bound as Bound, cramer_rao as cramer_rao, with_bound as with_bound
     from .comparison import compare as compare, ranking as ranking
     from .influence import influences as influences
     from .reference import bound_of as bound_of
-    from .report import write_report as write_report
     from .sensitivity import slopes as slopes, sobol_indices as sobol_indices
     from .statistics import quantile as quantile, summarise as summarise
 
@@ -33,7 +33,7 @@ _LATER = {
     "compare": "comparison",
     "ranking": "comparison",
     "influences": "influence",
-    "write_report": "report",
+    "write_report": "._report",
     "slopes": "sensitivity",
     "sobol_indices": "sensitivity",
     "quantile": "statistics",

@@ -2,7 +2,7 @@
 
 import math
 
-from ..plot._text import number as number, power as power
+from .._text import number as number, power as power
 from .statistics import Interval
 
 

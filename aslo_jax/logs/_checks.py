@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ._log_files import Columns, LogError, Where
+from ._error import Columns, LogError, Where
 
 GAP_IN_MEDIANS = 10.0  # the default of `max_gap`, in median intervals
 
 
-def check_columns(path: Path, data: Columns, labels: Mapping[str, str]) -> None:
+def check_columns(path: Path | str, data: Columns, labels: Mapping[str, str]) -> None:
     """Refuse columns of different lengths."""
     rows = data["t"].size
     for name, column in data.items():
@@ -22,7 +22,7 @@ def check_columns(path: Path, data: Columns, labels: Mapping[str, str]) -> None:
             )
 
 
-def check_rows(path: Path, rows: int) -> None:
+def check_rows(path: Path | str, rows: int) -> None:
     """Refuse a log that has no interval."""
     if rows < 2:
         raise LogError(
@@ -32,7 +32,7 @@ def check_rows(path: Path, rows: int) -> None:
 
 
 def check_finite(
-    path: Path,
+    path: Path | str,
     data: Columns,
     labels: Mapping[str, str],
     where: Where,
@@ -46,12 +46,13 @@ def check_finite(
         aside = " (or leave truth out, --no-truth)" if name in truths else ""
         raise LogError(
             f"{path}, {where(row)}, column `{labels[name]}`: the value is "
-            f"{data[name][row]}, but it must be finite; remove or repair that row{aside}."
+            f"{data[name][row]}, but it must be finite; remove or repair that row"
+            f"{aside}."
         )
 
 
 def check_time(
-    path: Path,
+    path: Path | str,
     t: Float[np.ndarray, " N"],
     label: str,
     where: Where,

@@ -66,6 +66,12 @@ def member(archive: zipfile.ZipFile, name: str) -> Member:
         return _header(file)
 
 
+def whole(archive: zipfile.ZipFile, name: str) -> np.ndarray:
+    """A column at once, of any shape."""
+    with archive.open(f"{name}.npy") as file:
+        return npy.read_array(file, allow_pickle=False)
+
+
 def batches(
     archive: zipfile.ZipFile, chosen: Mapping[str, str], rows: int
 ) -> Iterator[dict[str, Float[np.ndarray, " N"]]]:

@@ -6,13 +6,13 @@ import pathlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .._extras import require
-from ..plot._figure import WIDTH, Figure
-from . import formats
-from .bands import bands
-from .sensitivity import Index
-from .statistics import Interval
-from .tables import (
+from ._extras import require
+from .plot._figure import WIDTH, Figure
+from .study import formats
+from .study.bands import bands
+from .study.sensitivity import Index
+from .study.statistics import Interval
+from .study.tables import (
     BOUND,
     PARAMETER,
     Table,
@@ -96,7 +96,7 @@ def write_report(
 
 
 def _figures(dataset: Any, tables: list[Table]) -> list[Figure]:
-    from ..plot import _studies
+    from .plot import _studies
 
     caption = (
         "Each metric over the samples. Dot: median; bar: 5 to 95 %; tick: worst sample; "
@@ -128,7 +128,7 @@ def _figures(dataset: Any, tables: list[Table]) -> list[Figure]:
 
 
 def _band_figure(dataset: Any) -> Figure:
-    from ..plot import _studies
+    from .plot import _studies
 
     found = bands(dataset["error"])
     bound = dataset[BOUND].values if BOUND in dataset else None

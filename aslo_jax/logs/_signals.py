@@ -1,4 +1,4 @@
-"""Which columns a log has: a value that readers, machines and messages share."""
+"""Which columns a log has."""
 
 import dataclasses
 
@@ -22,6 +22,7 @@ class Signals:
         "flux_alpha",
         "flux_beta",
         "theta_electrical",
+        "theta_mechanical",
         "omega_electrical",
         "omega_mechanical",
     )
