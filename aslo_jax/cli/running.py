@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..diagnosis import Diagnosing, Diagnosis, repaired
 from ..logs import Log, LogReader, TableWriter
 from ..machines import AbstractDescription
 from ..machines.base import Rates
@@ -17,16 +18,18 @@ from .trace import Trace
 
 @dataclasses.dataclass(frozen=True)
 class Done:
-    """What is known of a table that was written; `slow`: why it was not done by machine
-    code, if it was not."""
+    """What is known of a table that was written, and of its log; `slow`: why it was not
+    done by machine code, if it was not."""
 
     summary: Summary
     trace: Trace
+    diagnosis: Diagnosis
     slow: str
 
     def warnings(self) -> Iterator[str]:
         if self.slow:
             yield self.slow
+        yield from self.diagnosis.lines()
         yield from self.summary.warnings()
 
 
@@ -77,10 +80,13 @@ def tabulated(
     for first in (None, 0):
         summary = Summary(reader, machine, rates, substeps)
         trace = Trace(machine, reader.t.size)
+        diagnosing = Diagnosing(machine.circles(), reader.t.size, reader.interval)
         estimator = Estimator(machine, rates, reader.t, substeps, first)
         with TableWriter(out) as writer:
             for log in reader.pieces(table.PIECE):
-                piece = estimator(log)
+                suspect = diagnosing.add(log)
+                log = repaired(log, suspect)
+                piece = estimator(log, suspect)
                 writer.write(piece.columns)
                 summary.add(piece)
                 if drawn:
@@ -89,4 +95,4 @@ def tabulated(
                     progress(log.t.size - 1)
         if estimator.complete:
             break
-    return Done(summary, trace, estimator.observed.slow)
+    return Done(summary, trace, diagnosing.result(), estimator.observed.slow)

@@ -4,6 +4,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from ..diagnosis import Circle
 from ..plants import PMSM
 from . import motor
 from .base import AbstractDescription, Positive, Table, Whole, algebraic, key
@@ -60,6 +61,12 @@ class PMSMDescription(AbstractDescription[PMSMTable, motor.MotorObserver]):
 
     def truth(self, log):
         return motor.motor_truth(log, self.machine.pole_pairs)
+
+    def circles(self):
+        machine = self.machine
+        return (
+            Circle("flux", machine.resistance, machine.inductance, machine.magnet_flux),
+        )
 
     def residuals(self, columns, log):
         magnet = motor.flux_of(columns) - self.machine.inductance * log.y

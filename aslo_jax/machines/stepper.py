@@ -4,6 +4,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from ..diagnosis import Circle
 from ..plants import Stepper
 from . import motor
 from .base import AbstractDescription, Positive, Table, Whole, algebraic, key
@@ -64,6 +65,18 @@ class StepperDescription(AbstractDescription[StepperTable, motor.MotorObserver])
 
     def truth(self, log):
         return motor.motor_truth(log, self.machine.pole_pairs)
+
+    def circles(self):
+        machine = self.machine
+        circle = Circle(
+            "flux",
+            machine.resistance,
+            machine.inductance,
+            machine.torque_constant / machine.pole_pairs,
+            radius_name="magnet flux, torque constant / pole pairs,",
+            phases=2,
+        )
+        return (circle,)
 
     def residuals(self, columns, log):
         magnet = motor.flux_of(columns) - self.machine.inductance * log.y
