@@ -35,7 +35,7 @@ def fit(
     y: Complex[np.ndarray, "H W n"],
     shape: Float[np.ndarray, "W n"],
     radius: float | None,
-    saliency: float,
+    saliency: Float[np.ndarray, " H"],
 ) -> Fit:
     """Gauss-Newton on `|x + g + basis p| - saliency i_d - m shape` over the centres x, the
     radius m and the free parameters p. The centres are eliminated window by window."""
@@ -43,16 +43,17 @@ def fit(
     moved = lambda values: g + np.einsum("hp,hpwn->hwn", values, basis)
     centre, m = _algebraic(moved(values), shape, radius)
     best: Fit | None = None
+    across = saliency[:, None, None]
     for _ in range(ITERATIONS + 1):
         x = centre[..., None] + moved(values)
         size = np.maximum(np.abs(x), 1e-300)
         n = x / size
         r = size - m[:, None, None] * shape
         slope = n
-        if saliency:
+        if saliency.any():
             direct = (n.conj() * y).real
-            r = r - saliency * direct
-            slope = n - saliency * (y - n * direct) / size
+            r = r - across * direct
+            slope = n - across * (y - n * direct) / size
         found = _fit(r, m, shape, radius, centre, values)
         best = found if best is None else _better(best, found)
         centre, m, values = _step(slope, basis, shape, r, radius, m, centre, values)

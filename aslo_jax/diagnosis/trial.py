@@ -59,10 +59,13 @@ def arcs(windows: Windows, circle: Circle) -> Float[np.ndarray, " W"]:
         y[None],
         windows.radius,
         circle.radius,
-        circle.saliency,
+        np.array([circle.saliency]),
     )
+    # Windows of noise alone turn as well.
+    jerk = np.mean(np.abs(g[:, 2:] - 2.0 * g[:, 1:-1] + g[:, :-2]) ** 2, axis=1) / 6.0
+    moves = np.var(g, axis=1) > 25.0 * jerk
     turned = np.unwrap(np.angle(found.centre[0][:, None] + g), axis=1)
-    return np.ptp(turned, axis=1)
+    return np.ptp(turned, axis=1) * moves
 
 
 def _tried(windows, circle, hypotheses, nominal):
@@ -90,7 +93,7 @@ def _tried(windows, circle, hypotheses, nominal):
         stack(y),
         windows.radius,
         circle.radius,
-        circle.saliency,
+        circle.saliency * np.array([each[k].inductance for k in owner]),
     )
     trials = []
     owner = np.array(owner)

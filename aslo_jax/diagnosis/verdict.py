@@ -3,9 +3,6 @@
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
-from ..machines.speed import turning_speed
 from . import trial
 from .causes import causes as known_causes
 from .circle import Circle
@@ -13,14 +10,15 @@ from .hypotheses import words
 from .sample import Chunk
 from .trial import Trial
 from .value import Diagnosis, Finding
-from .windows import Windows, windows_of
+from .windows import Windows, turning_rate, windows_of
 
-CLEAR = 1e-3  # a relative residual below which nothing is looked for
+CLEAR = 3e-4  # a relative residual below which nothing is looked for
 BETTER = 5.0  # times that a hypothesis must make the residual smaller
 ALIKE = 2.0  # times the smallest residual, up to which others explain a log as well
 UNEXPLAINED = 0.02  # a relative residual that is a warning of its own
 OF_A_LOG, OF_A_MACHINE = 0.01, 0.03  # flux errors that are worth a warning
 RADIUS = math.log(1.15)  # a magnet that is off by less does no harm
+DOUBT = 0.1  # of a parameter: an error that is likely in a right log
 ARC = 1.5  # rad that the flux must turn in a window
 
 
@@ -31,38 +29,29 @@ def of_circle(chunks: Sequence[Chunk], circle: Circle) -> Diagnosis:
         note = f"{circle.quantity}: too little turning to check the log against its model"
         return Diagnosis(notes=(note,))
     tried = trial.trials(windows, circle, known_causes(circle), CLEAR)
-    nominal, others = tried[0], tried[1:]
+    nominal, others = tried[0], [t for t in tried[1:] if _possible(t, circle)]
     figures = {
         "residual": nominal.residual,
         "noise": nominal.noise,
         "radius": nominal.radius,
     }
-    if nominal.cost < CLEAR:
+    if nominal.residual < CLEAR and _near(nominal, circle):
         return Diagnosis(figures=figures)
     best = min(others, key=lambda t: t.cost)
     if best.cost > nominal.cost / BETTER:
         return Diagnosis(_unexplained(nominal, best, circle), figures)
-    rivals = [
-        t
-        for t in others
-        if t.cost <= nominal.cost / BETTER and t.cost <= ALIKE * best.cost + 1e-4
-    ]
-    rivals = _plain(rivals)
+    explained = [t for t in others if t.cost <= nominal.cost / BETTER]
+    rivals = _plain([t for t in explained if t.cost <= ALIKE * best.cost + 1e-4])
     figures["flux_error"] = max(t.flux_error for t in rivals)
-    if any(_harmless(t, circle) for t in rivals):
+    doubtful = [t for t in explained if abs(_changed(t, circle) - 1.0) < DOUBT]
+    if any(_harmless(t, circle) for t in (*rivals, *doubtful)):
         return Diagnosis(figures=figures)
     return Diagnosis((_warning(nominal, rivals, circle),), figures)
 
 
 def _windows(chunks: Sequence[Chunk], circle: Circle) -> Windows | None:
     """Windows in which the flux turns, as far as the log as it is can tell."""
-    rates = []
-    for chunk in chunks:
-        u, y, _ = circle.signals(chunk.u, chunk.y)
-        v = u - circle.resistance * y
-        rates.append(turning_speed(chunk.t, np.stack([v.real, v.imag], axis=1)))
-    rate = max(rates, default=0.0)
-    windows = windows_of(chunks, circle, rate)
+    windows = windows_of(chunks, circle, turning_rate(chunks, circle))
     if windows is None:
         return None
     turning = trial.arcs(windows, circle) >= ARC
@@ -84,10 +73,30 @@ def _plain(rivals: Sequence[Trial]) -> list[Trial]:
 def _harmless(t: Trial, circle: Circle) -> bool:
     """Whether a log that is wrong in this way still gives a flux that is right."""
     if t.hypothesis.kind == "radius":
-        assert circle.radius is not None
-        return abs(math.log(t.radius / circle.radius)) < RADIUS
+        return _near(t, circle)
     limit = OF_A_LOG if t.hypothesis.of == "log" else OF_A_MACHINE
     return t.flux_error < limit
+
+
+def _changed(t: Trial, circle: Circle) -> float:
+    """The factor of the parameter that a hypothesis fits; infinite where it fits none."""
+    given = {"resistance": circle.resistance, "inductance": circle.inductance}
+    if t.hypothesis.kind == "radius" and circle.radius is not None:
+        return t.radius / circle.radius
+    if t.hypothesis.kind in given:
+        return 1.0 + t.values[0] / given[t.hypothesis.kind]
+    return math.inf
+
+
+def _possible(t: Trial, circle: Circle) -> bool:
+    return math.isfinite(t.cost) and _changed(t, circle) > 0.0
+
+
+def _near(t: Trial, circle: Circle) -> bool:
+    """Whether the radius that fits is about the one that is given, if one is."""
+    if circle.radius is None:
+        return True
+    return abs(math.log(t.radius / circle.radius)) < RADIUS
 
 
 def _warning(nominal: Trial, rivals: Sequence[Trial], circle: Circle) -> Finding:

@@ -48,6 +48,27 @@ class Windows:
         return dataclasses.replace(self, **kept, shifted=shifted)
 
 
+def turning_rate(chunks: Sequence[Chunk], circle: Circle) -> float:
+    """How fast `u - R i`, the derivative of the flux, turns (rad/s), forth or back: by one
+    radian over the time in which it has half forgotten its direction, noise apart."""
+    correlations: dict[int, list[float]] = {}
+    interval = np.inf
+    for chunk in chunks:
+        u, y, _ = circle.signals(chunk.u, chunk.y)
+        v = u - circle.resistance * y
+        interval = min(interval, float(np.median(np.diff(chunk.t))))
+        lag = 1
+        while lag < v.size // 2:
+            product = float(np.mean((v[lag:] * v[:-lag].conj()).real))
+            correlations.setdefault(lag, []).append(product)
+            lag = max(lag + 1, round(1.25 * lag))
+    means = {lag: np.mean(products) for lag, products in correlations.items()}
+    for lag, mean in means.items():
+        if mean < np.cos(1.0) * means[1]:
+            return 1.0 / (lag * interval)
+    return 0.0
+
+
 def windows_of(chunks: Sequence[Chunk], circle: Circle, rate: float) -> Windows | None:
     """Windows of `1.25` turns at `rate` (rad/s), spread over the log; `None` where there is
     not a whole one."""
