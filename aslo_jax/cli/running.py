@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..diagnosis import Diagnosing, Diagnosis, repaired
+from ..diagnosis import Diagnosing, Diagnosis, repaired, retimed_pieces
 from ..logs import Log, LogReader, TableWriter
 from ..machines import AbstractDescription
 from ..machines.base import Rates
@@ -24,13 +24,17 @@ class Done:
     summary: Summary
     trace: Trace
     diagnosis: Diagnosis
+    columns: tuple[str, ...]
     slow: str
 
-    def warnings(self) -> Iterator[str]:
+    def findings(self) -> Iterator[tuple[str, str, tuple[int, ...]]]:
+        """Kind, message and rows of every warning."""
         if self.slow:
-            yield self.slow
-        yield from self.diagnosis.lines()
-        yield from self.summary.warnings()
+            yield "slow_engine", self.slow, ()
+        for finding in self.diagnosis.warnings:
+            yield finding.kind, finding.message, finding.rows
+        for kind, message in self.summary.warnings():
+            yield kind, message, ()
 
 
 def opened(
@@ -72,8 +76,11 @@ def tabulated(
     out: Path,
     drawn: bool,
     progress: Callable[[int], object],
+    shift: float = 0.0,
+    keep_outliers: bool = False,
 ) -> Done:
     """Write the table of estimates to `out`; `progress` is told of rows as they are done.
+    Inputs are moved by `shift` rows, and outliers are left out unless they are kept.
 
     A phase-locked loop starts where its angle is certified. Where it never is, which the
     end of the log tells, the loop starts in the first row: the log is run again."""
@@ -83,8 +90,11 @@ def tabulated(
         diagnosing = Diagnosing(machine.circles(), reader.t.size, reader.interval)
         estimator = Estimator(machine, rates, reader.t, substeps, first)
         with TableWriter(out) as writer:
-            for log in reader.pieces(table.PIECE):
+            pairs = [circle.inputs for circle in machine.circles()]
+            for log in retimed_pieces(reader.pieces(table.PIECE), shift, pairs):
                 suspect = diagnosing.add(log)
+                if keep_outliers:
+                    suspect = suspect.without_outliers()
                 log = repaired(log, suspect)
                 piece = estimator(log, suspect)
                 writer.write(piece.columns)
@@ -95,4 +105,5 @@ def tabulated(
                     progress(log.t.size - 1)
         if estimator.complete:
             break
-    return Done(summary, trace, diagnosing.result(), estimator.observed.slow)
+    verdict, slow = diagnosing.result(keep_outliers), estimator.observed.slow
+    return Done(summary, trace, verdict, tuple(piece.columns), slow)

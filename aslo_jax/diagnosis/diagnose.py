@@ -45,9 +45,9 @@ class Diagnosing:
         """Every row that cannot be right."""
         return _joined(self._found)
 
-    def result(self) -> Diagnosis:
-        """The diagnosis, once every piece has come."""
-        whole = Diagnosis(_of_rows(self.rows()))
+    def result(self, kept: bool = False) -> Diagnosis:
+        """The diagnosis, once every piece has come; `kept`: whether outliers are."""
+        whole = Diagnosis(_of_rows(self.rows(), kept))
         chunks = self._sample.chunks() if self.circles else []
         for circle in self.circles:
             whole = whole + of_circle(chunks, circle)
@@ -84,17 +84,18 @@ def _joined(found: Sequence[Rows]) -> Rows:
     return Rows(**{name: join(name) for name in names})
 
 
-KEPT = "left out (--outliers keep keeps them)"
+LEFT = "left out (--outliers keep keeps them)"
 
 
-def _of_rows(rows: Rows) -> tuple[Finding, ...]:
+def _of_rows(rows: Rows, kept: bool) -> tuple[Finding, ...]:
     found = []
+    fate = "kept (--outliers drop leaves them out)" if kept else LEFT
     if rows.outliers.size:
         found.append(
             Finding(
                 "outliers",
                 f"the outputs of {_rows(rows.outliers)} cannot be right, far from what the "
-                f"rows around say; {KEPT}",
+                f"rows around say; {fate}",
                 tuple(map(int, rows.outliers)),
             )
         )
@@ -103,7 +104,7 @@ def _of_rows(rows: Rows) -> tuple[Finding, ...]:
             Finding(
                 "input_outliers",
                 f"the inputs of {_rows(rows.inputs)} cannot be right, far from what the "
-                f"rows around say; {KEPT}",
+                f"rows around say; {fate}",
                 tuple(map(int, rows.inputs)),
             )
         )

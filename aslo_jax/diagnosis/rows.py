@@ -14,6 +14,9 @@ LONGEST = 12  # rows of an outlier
 NEIGHBOURS = (-3, -2, -1, 1, 2, 3)
 
 
+NONE = np.zeros(0, int)
+
+
 @dataclasses.dataclass(frozen=True)
 class Rows:
     """Rows of a log that cannot be right, by their number, the first being 0.
@@ -35,14 +38,15 @@ class Rows:
         named = (self.outliers, self.inputs, self.lost, self.gaps)
         return sum(map(len, named))
 
+    def without_outliers(self) -> "Rows":
+        """The same, no outliers among them."""
+        return dataclasses.replace(self, outliers=NONE, inputs=NONE)
+
     def shifted(self, rows: int) -> "Rows":
         """The same rows of a log that has `rows` more before them."""
         names = ("outliers", "inputs", "lost", "gaps")
         moved = {name: getattr(self, name) + rows for name in names}
         return Rows(**moved, missing=self.missing)
-
-
-NONE = np.zeros(0, int)
 
 
 def suspect_rows(log: Log, circle: Circle, interval: float) -> Rows:

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Complex, Float
 
 from .circle import Circle
 from .sample import Chunk
+from .timing import moved
 
 WINDOWS = 24  # at most
 SAMPLES = 96  # of a window, at most: means of blocks of rows
@@ -121,20 +122,6 @@ def _sums(chunk: Chunk, circle: Circle) -> dict[str, np.ndarray]:
     for shift in SHIFTS:
         series[f"shifted {shift}"] = total(h * moved(u, shift)[:-1])
     return series
-
-
-def moved(u: Complex[np.ndarray, " N"], shift: float) -> Complex[np.ndarray, " N"]:
-    """Voltages of `shift` rows later; by half a row, the direction between those of two
-    neighbours and their mean length."""
-    rows, low = np.arange(u.size), int(np.floor(shift))
-    at = lambda k: u[np.clip(rows + k, 0, rows.size - 1)]
-    if shift == low:
-        return at(low)
-    a, b = at(low), at(low + 1)
-    mean, length = 0.5 * (a + b), 0.5 * (np.abs(a) + np.abs(b))
-    # Where neighbours oppose each other it is noise that turns, not the voltage.
-    turns = np.abs(mean) > 0.7 * length
-    return np.where(turns, mean * length / np.maximum(np.abs(mean), 1e-300), mean)
 
 
 def _firsts(chunk: Chunk, length: int) -> list[int]:
