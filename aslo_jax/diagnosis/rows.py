@@ -135,14 +135,14 @@ def _jumps(y, place: int, partner: int, leap: complex) -> bool:
     if partner + 1 >= y.size:
         return False
     inside = y[place + 1 : partner + 1].mean() - 0.5 * (y[place] + y[partner + 1])
-    return abs(inside - leap) < 0.3 * abs(leap)
+    return bool(abs(inside - leap) < 0.3 * abs(leap))
 
 
 def _stands_out(u, place: int, leap: complex) -> bool:
     if not 0 < place < u.size - 1:
         return False
     own = u[place] - 0.5 * (u[place - 1] + u[place + 1])
-    return abs(own - leap) < 0.3 * abs(leap)
+    return bool(abs(own - leap) < 0.3 * abs(leap))
 
 
 def _pulses(u: Complex[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
@@ -160,4 +160,4 @@ def _unexplained(error: complex, leap: complex) -> bool:
     """Whether most of the step of the current is what no voltage explains: all but one of
     `n + 1` intervals, where n rows are lost."""
     share = -(error * np.conj(leap)).real / max(abs(leap) ** 2, 1e-300)
-    return 0.4 < share < 1.3
+    return bool(0.4 < share < 1.3)

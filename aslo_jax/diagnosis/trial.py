@@ -109,10 +109,12 @@ def _tried(windows, circle, hypotheses, nominal):
         mine = phi if nominal is None else nominal
         scale = np.sqrt(np.mean(np.abs(phi) ** 2))
         error = float(np.sqrt(np.mean(np.abs(phi - mine) ** 2)) / scale)
+        # With another radius, the one that fits costs nothing.
+        price = found.residual if h is not None and h.kind == "radius" else found.cost
         trials.append(
             Trial(
                 h,
-                float(found.cost[best]),
+                float(price[best]),
                 float(found.residual[best]),
                 float(found.noise[best]),
                 float(found.radius[best]),
