@@ -69,7 +69,7 @@ def suspect_rows(log: Log, circle: Circle, interval: float) -> Rows:
     size = np.abs(error)
     quiet = np.median(size)
     least = LEAST * circle.radius if circle.radius and circle.other is None else 0.0
-    limit = max(FAR * quiet, 0.5 * float(np.median(np.abs(step))), least)
+    limit = max(FAR * quiet, 0.15 * float(np.median(np.abs(step))), least)
     far = np.flatnonzero(size > limit)
     far = far[~np.isin(far, gaps)].tolist()
     pulses = _pulses(u)
@@ -152,7 +152,9 @@ def _pulses(u: Complex[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
     before, after = np.diff(u)[:-1], np.diff(u)[1:]
     back = (before * after.conj()).real < 0
     size = np.minimum(np.abs(before), np.abs(after)) * back
-    limit = max(6.0 * float(np.median(size)), 0.03 * float(np.median(np.abs(u))))
+    # The steps of a voltage that turns evenly, and noise, are no pulses.
+    turning = 2.0 * float(np.median(np.abs(before)))
+    limit = max(6.0 * np.median(size), turning, 0.03 * np.median(np.abs(u)))
     return np.concatenate([[False], size > limit, [False]])
 
 

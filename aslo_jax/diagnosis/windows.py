@@ -127,7 +127,7 @@ def _sums(chunk: Chunk, circle: Circle) -> dict[str, np.ndarray]:
 def _firsts(chunk: Chunk, length: int) -> list[int]:
     """The first rows of windows that have no broken row."""
     found, first = [], 2
-    breaks = [*np.flatnonzero(chunk.broken), chunk.t.size - 2]
+    breaks = [*np.flatnonzero(chunk.broken).tolist(), chunk.t.size - 2]
     for last in breaks:
         while first + length <= last:
             found.append(first)
