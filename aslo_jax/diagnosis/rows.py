@@ -8,7 +8,7 @@ from jaxtyping import Bool, Complex, Float, Int
 from ..logs import Log
 from .circle import Circle
 
-FAR = 12.0  # robust standard deviations from the neighbours
+FAR = 9.0  # times the median distance from what the neighbours say
 LEAST = 3e-3  # of the radius: what is smaller does little harm
 LONGEST = 12  # rows of an outlier
 NEIGHBOURS = (-3, -2, -1, 1, 2, 3)
@@ -162,4 +162,4 @@ def _unexplained(error: complex, leap: complex) -> bool:
     """Whether most of the step of the current is what no voltage explains: all but one of
     `n + 1` intervals, where n rows are lost."""
     share = -(error * np.conj(leap)).real / max(abs(leap) ** 2, 1e-300)
-    return bool(0.4 < share < 1.3)
+    return bool(0.4 < share < 1.6)
