@@ -12,6 +12,7 @@ from aslo_jax.logs import (
     LogReader,
     TableWriter,
     _npz,
+    _reader,
     _source,
     read_log,
     write_table,

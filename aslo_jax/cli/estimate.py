@@ -1,5 +1,6 @@
 """`aslo-jax estimate`: the observer of a machine over a recorded log."""
 
+import enum
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -39,6 +40,13 @@ observable); coasting (1 where the certificate is below the threshold and the es
 carried along its known derivative); and, where the log has truth, for scoring only, error_*
 (estimate less truth). Angles are unwrapped. By the kind of machine:
 """
+
+
+class Outliers(enum.StrEnum):
+    """What becomes of samples that cannot be right."""
+
+    drop = "drop"
+    keep = "keep"
 
 
 class Explained(typer.core.TyperCommand):
@@ -90,6 +98,21 @@ def estimate(
         ),
     ] = 4,
     max_gap: MaxGap = None,
+    voltage: Annotated[
+        str,
+        typer.Option(
+            metavar="held|instant|delayed=N",
+            help="What a row's inputs are: held over the interval that follows; those of "
+            "its instant; late by N rows.",
+        ),
+    ] = "held",
+    outliers: Annotated[
+        Outliers,
+        typer.Option(help="Samples that cannot be right: left out, or kept."),
+    ] = Outliers.drop,
+    json: Annotated[
+        Path | None, typer.Option(help="The summary and all warnings, as JSON.")
+    ] = None,
     truth: Annotated[
         bool, typer.Option(help="Read the truth columns, where there are any, and score.")
     ] = True,
@@ -106,6 +129,7 @@ def estimate(
     """Estimate what no sensor of a machine measures over a LOG."""
     double_precision()
     from .._checks import positive
+    from ..diagnosis import shift_of
     from ..logs import check_suffix
     from ..machines import MachineError, read_machine
     from .running import opened, tabulated
@@ -115,7 +139,9 @@ def estimate(
     for name, value in given.items():
         positive(_option(name), value, "rad/s")
     check_suffix(out)
-    outputs = {"--out": out} | ({"--plot": plot} if plot else {})
+    shift = shift_of(voltage)
+    optional = {"--plot": plot, "--json": json}
+    outputs = {"--out": out} | {name: path for name, path in optional.items() if path}
     refuse_overlap(outputs, {"the log": log, "the machine": machine})
     if plot:
         from .figure import check_figure_suffix
@@ -149,16 +175,31 @@ def estimate(
         )
         with _progress(reader.t.size, quiet) as progress:
             done = tabulated(
-                reader, description, rates, substeps, parts[0], bool(plot), progress, align
+                reader,
+                description,
+                rates,
+                substeps,
+                parts[0],
+                bool(plot),
+                progress,
+                align=align,
+                shift=shift,
+                keep_outliers=outliers == Outliers.keep,
             )
         if plot:
             from .figure import save_figure
 
             save_figure(parts[1], done.trace, done.summary, log.name)
+        if json:
+            from .json_summary import write_json
+
+            write_json(parts[-1], done)
     if not quiet:
         for line in done.summary.lines():
             typer.echo(line)
-    for line in done.warnings():
+        for note in done.diagnosis.notes:
+            typer.echo(note)
+    for _, line, _ in done.findings():
         typer.echo(f"aslo-jax: warning: {line}", err=True)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..diagnosis import Diagnosing, Diagnosis, repaired, retimed_pieces
 from ..logs import Log, LogReader, TableWriter
 from ..machines import AbstractDescription
 from ..machines.base import Rates
@@ -18,17 +19,23 @@ from .trace import Trace
 
 @dataclasses.dataclass(frozen=True)
 class Done:
-    """What is known of a table that was written; `slow`: why it was not done by machine
-    code, if it was not."""
+    """What is known of a table that was written, and of its log; `slow`: why it was not
+    done by machine code, if it was not."""
 
     summary: Summary
     trace: Trace
+    diagnosis: Diagnosis
+    columns: tuple[str, ...]
     slow: str
 
-    def warnings(self) -> Iterator[str]:
+    def findings(self) -> Iterator[tuple[str, str, tuple[int, ...]]]:
+        """Kind, message and rows of every warning."""
         if self.slow:
-            yield self.slow
-        yield from self.summary.warnings()
+            yield "slow_engine", self.slow, ()
+        for finding in self.diagnosis.warnings:
+            yield finding.kind, finding.message, finding.rows
+        for kind, message in self.summary.warnings():
+            yield kind, message, ()
 
 
 def opened(
@@ -76,9 +83,13 @@ def tabulated(
     out: Path,
     drawn: bool,
     progress: Callable[[int], object],
+    *,
     align: bool = False,
+    shift: float = 0.0,
+    keep_outliers: bool = False,
 ) -> Done:
     """Write the table of estimates to `out`; `progress` is told of rows as they are done.
+    Inputs are moved by `shift` rows, and outliers are left out unless they are kept.
 
     A phase-locked loop starts where its angle is certified. Where it never is, which the
     end of the log tells, the loop starts in the first row: the log is run again. So it is
@@ -88,10 +99,16 @@ def tabulated(
         summary = Summary(reader, machine, rates, substeps)
         summary.offsets = offsets
         trace = Trace(machine, reader.t.size)
+        diagnosing = Diagnosing(machine.circles(), reader.t.size, reader.interval)
         estimator = Estimator(machine, rates, reader.t, substeps, first, offsets)
         with TableWriter(out) as writer:
-            for log in reader.pieces(table.PIECE):
-                piece = estimator(log)
+            pairs = [circle.inputs for circle in machine.circles()]
+            for log in retimed_pieces(reader.pieces(table.PIECE), shift, pairs):
+                suspect = diagnosing.add(log)
+                if keep_outliers:
+                    suspect = suspect.without_outliers()
+                log = repaired(log, suspect)
+                piece = estimator(log, suspect)
                 writer.write(piece.columns)
                 summary.add(piece)
                 if drawn:
@@ -104,4 +121,6 @@ def tabulated(
         elif align and not offsets and summary.biases():
             offsets = summary.biases()
         else:
-            return Done(summary, trace, estimator.observed.slow)
+            verdict = diagnosing.result(keep_outliers)
+            columns = tuple(piece.columns)
+            return Done(summary, trace, verdict, columns, estimator.observed.slow)

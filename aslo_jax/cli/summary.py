@@ -177,12 +177,14 @@ class Summary:
                     f"{quantity.unit} (of {size:.3g})"
                 )
 
-    def warnings(self) -> Iterator[str]:
+    def warnings(self) -> Iterator[tuple[str, str]]:
+        """Kind and message of each."""
         sampled = f"{1.0 / self.interval:.4g} rows a second"
         if self.interval > self.machine.longest_interval:
             yield (
+                "slow_sampling",
                 f"the log has {sampled}, which is slow for this kind of machine: is `t` in "
-                "seconds, not milliseconds?"
+                "seconds, not milliseconds?",
             )
         for suffix, rows in self.coasting.items():
             share = rows / self.reader.t.size
@@ -196,11 +198,13 @@ class Summary:
             )
             if suffix not in self.settled:
                 yield (
+                    "not_certified",
                     f"no estimate is certified in this log, {which} cannot be observed in "
-                    f"it: {checks}"
+                    f"it: {checks}",
                 )
             elif share > 0.5:
-                yield f"{100 * share:.3g} % of the rows coast ({which}): {checks}"
+                text = f"{100 * share:.3g} % of the rows coast ({which}): {checks}"
+                yield "mostly_coasting", text
 
 
 def relative_error(quantity: Quantity, piece: Piece) -> Float[np.ndarray, " N"]:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._replay import common_interval, run_log
+from ..diagnosis import Rows, touched
 from ..logs import Log
 from ..machines import AbstractDescription
 from ..machines.base import Columns, Rates
@@ -68,6 +69,30 @@ class Replayed:
             self.slow, self._engine = str(said[0].message), "scan"
         return jax.tree.map(np.asarray, estimate)
 
+    def restarted(
+        self,
+        t: Float[np.ndarray, " N"],
+        u: Float[np.ndarray, "N ..."],
+        y: Float[np.ndarray, "N ..."],
+        last: Sequence[int],
+    ) -> Any:
+        """The estimates of a piece in which the observer starts again after the rows
+        `last`."""
+        parts, first = [], 0
+        for end in (*last, t.size - 1):
+            rows = slice(first, end + 1)
+            if end > first:
+                parts.append(self(t[rows], u[rows], y[rows]))
+            else:  # one row: the guess that an observer begins with
+                twice = np.array([end, end])
+                instants = t[end] + np.array([0.0, t[-1] - t[-2]])
+                alone = self(instants, u[twice], y[twice])
+                parts.append(jax.tree.map(lambda x: x[:1], alone))
+            first = end + 1
+            if end < t.size - 1 or rows.start == end:
+                self._state = None
+        return jax.tree.map(lambda *x: np.concatenate(x), *parts)
+
 
 class Estimator:
     """The observer of a machine over a log, and a phase-locked loop for every quantity that
@@ -109,13 +134,17 @@ class Estimator:
             self._first is not None or q.suffix in self.starts for q in self._tracked
         )
 
-    def __call__(self, log: Log) -> Piece:
+    def __call__(self, log: Log, suspect: Rows | None = None) -> Piece:
         """The table of a piece of the log, without the row that it shares with the one
-        before."""
+        before; `suspect`: its rows that cannot be right and have been repaired."""
         fresh = self._rows == 0
         # The row that this piece begins with.
         begin = 0 if fresh else self._rows - 1
-        found = self.machine.columns(self.observed(log.t, log.u, log.y), log)
+        found = self.machine.columns(self._observed(log, suspect), log)
+        if suspect is not None and suspect.count:
+            made_up = touched(suspect, log.t.size)
+            for suffix in self.machine.suffixes():
+                found[f"coasting{suffix}"] = found[f"coasting{suffix}"] | made_up
         for quantity in self.machine.quantities:
             if quantity.angle:
                 self._continue(found, quantity.columns[0])
@@ -139,6 +168,12 @@ class Estimator:
         residuals = {} if truth else self._residuals(whole, log, log.t.size - shared)
         new = lambda columns: {name: x[shared:] for name, x in columns.items()}
         return Piece(new(whole), new(truth), residuals)
+
+    def _observed(self, log: Log, suspect: Rows | None) -> Any:
+        if suspect is None or not suspect.lost.size:
+            return self.observed(log.t, log.u, log.y)
+        last = [int(row) for row in suspect.lost]
+        return self.observed.restarted(log.t, log.u, log.y, last)
 
     def _continue(self, found: Columns, name: str) -> None:
         """Whole turns more or less, so that an unwrapped angle goes on from the last row of

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..completions import LeastSquares, Repeat
+from ..diagnosis import Circle
 from ..filters import LowPass
 from ..guard import Guard
 from ..logs import Log, Signals
@@ -171,6 +172,11 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
     def residuals(self, columns: Columns, log: Log) -> Columns:
         """How far the estimates are from an equation that holds for the true states and
         was not used to the full, by the name of the quantity: relative, shape `(N,)`."""
+
+    def circles(self) -> tuple[Circle, ...]:
+        """What every right log of this machine satisfies beyond what its observer uses, to
+        tell a wrong one; by default nothing is known."""
+        return ()
 
     def columns_of_log(self) -> Layout:
         """The `layout` of this machine's logs."""

@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import model_validator
 
 from ..completions import LeastSquares, Repeat
+from ..diagnosis import Circle
 from ..filters import LowPass
 from ..guard import Guard
 from ..observers import SelfConsistent
@@ -141,6 +142,18 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
 
     def truth(self, log):
         return motor.motor_truth(log, self.machine.pole_pairs)
+
+    def circles(self):
+        machine = self.machine
+        circle = Circle(
+            "flux",
+            machine.resistance,
+            machine.quadrature_inductance,
+            machine.magnet_flux,
+            inductance_name="inductance of the q axis",
+            saliency=machine.direct_inductance - machine.quadrature_inductance,
+        )
+        return (circle,)
 
     def residuals(self, columns, log):
         if self.machine.magnet_flux is None:

@@ -2,6 +2,7 @@
 
 from typing import Literal
 
+from ..diagnosis import Circle
 from ..plants import PMSM, FluxRelation
 from ..schema import Positive, Table, Whole, key
 from . import motor, offers
@@ -50,3 +51,9 @@ class PMSMDescription(motor.AbstractRoundMotor[PMSMTable]):
 
     def plant(self):
         return PMSM(**self.machine.model_dump(exclude={"kind"}))
+
+    def circles(self):
+        machine = self.machine
+        return (
+            Circle("flux", machine.resistance, machine.inductance, machine.magnet_flux),
+        )

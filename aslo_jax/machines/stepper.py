@@ -2,6 +2,7 @@
 
 from typing import Literal
 
+from ..diagnosis import Circle
 from ..plants import Stepper
 from ..schema import Positive, Table, Whole, key
 from . import motor
@@ -35,3 +36,15 @@ class StepperDescription(motor.AbstractRoundMotor[StepperTable]):
 
     def plant(self):
         return Stepper(**self.machine.model_dump(exclude={"kind"}))
+
+    def circles(self):
+        machine = self.machine
+        circle = Circle(
+            "flux",
+            machine.resistance,
+            machine.inductance,
+            machine.torque_constant / machine.pole_pairs,
+            radius_name="magnet flux, torque constant / pole pairs,",
+            phases=2,
+        )
+        return (circle,)

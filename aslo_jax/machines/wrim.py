@@ -6,6 +6,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import model_validator
 
+from ..diagnosis import Circle
 from ..logs import Log, Signals
 from ..observers import SideBySide
 from ..plants import WRIM, WindingFluxRelation
@@ -174,6 +175,35 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
 
     def truth(self, log):
         return log.truth
+
+    def circles(self):
+        machine, mutual = self.machine, self.machine.mutual_inductance
+        alike = {"radius_name": "mutual inductance", "radius_unit": "H"}
+        stator = Circle(
+            "stator flux",
+            machine.stator_resistance,
+            machine.stator_inductance,
+            mutual,
+            resistance_name="resistance of the stator",
+            inductance_name="inductance of the stator",
+            other=(2, 3),
+            symbols=self.signals.inputs[:2] + self.signals.outputs[:2],
+            **alike,
+        )
+        rotor = Circle(
+            "rotor flux",
+            machine.rotor_resistance,
+            machine.rotor_inductance,
+            mutual,
+            resistance_name="resistance of the rotor",
+            inductance_name="inductance of the rotor",
+            inputs=(2, 3),
+            outputs=(2, 3),
+            other=(0, 1),
+            symbols=self.signals.optional + self.signals.outputs[2:],
+            **alike,
+        )
+        return stator, rotor
 
     def residuals(self, columns, log):
         machine, found = self.machine, {}

@@ -1,0 +1,65 @@
+"""The equation of a turning flux: its tip, less what the current links, is on a circle."""
+
+import dataclasses
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+PHASES = np.exp(2j * np.pi / 3.0 * np.arange(3))
+
+
+@dataclasses.dataclass(frozen=True)
+class Circle:
+    """`|phi - L i| = radius + saliency i_d` with `phi' = u - R i`, in complex numbers
+    alpha + j beta; i_d is the current along `phi - L i`.
+
+    - `quantity`: the name of what is estimated with it;
+    - `resistance` (ohm), `inductance` (H);
+    - `radius` (Wb): that of a magnet; or the factor (H) of the length of the current in the
+      columns `other` of y, where they are given; `None` where it is unknown;
+    - `resistance_name`, `inductance_name`, `radius_name`, in words, and `radius_unit`;
+    - `saliency` (H): Ld - Lq;
+    - `inputs`, `outputs`: its columns of u and y, alpha and beta;
+    - `phases`: 3, or 2 for a machine that has two windings of its own;
+    - `symbols`: the names of voltages and currents in a log.
+    """
+
+    quantity: str
+    resistance: float
+    inductance: float
+    radius: float | None
+    resistance_name: str = "resistance"
+    inductance_name: str = "inductance"
+    radius_name: str = "magnet flux"
+    radius_unit: str = "Wb"
+    saliency: float = 0.0
+    inputs: tuple[int, int] = (0, 1)
+    outputs: tuple[int, int] = (0, 1)
+    other: tuple[int, int] | None = None
+    phases: Literal[2, 3] = 3
+    symbols: tuple[str, ...] = ("u_alpha", "u_beta", "i_alpha", "i_beta")
+
+    def signals(
+        self, u: Float[np.ndarray, "N m"], y: Float[np.ndarray, "N n"]
+    ) -> tuple[
+        Complex[np.ndarray, " N"], Complex[np.ndarray, " N"], Float[np.ndarray, " N"]
+    ]:
+        """Voltage (V) and current (A) of a log, and what the radius follows: 1 or a
+        current (A). An input that is not there is zero."""
+        columns = lambda x, pair: x[:, pair[0]] + 1j * x[:, pair[1]]
+        current = columns(y, self.outputs)
+        there = max(self.inputs) < u.shape[1]
+        voltage = columns(u, self.inputs) if there else np.zeros_like(current)
+        radius = np.ones(y.shape[0])
+        if self.other is not None:
+            radius = np.abs(columns(y, self.other))
+        return voltage, current, radius
+
+    def dead(self, y: Complex[np.ndarray, " N"]) -> Complex[np.ndarray, " N"]:
+        """The direction in which dead time acts against the currents `y`: what one volt of
+        it takes off the voltage (dimensionless)."""
+        if self.phases == 2:
+            return np.sign(y.real) + 1j * np.sign(y.imag)
+        signs = np.sign((y[:, None] * PHASES.conj()).real)
+        return 2.0 / 3.0 * signs @ PHASES
