@@ -41,7 +41,7 @@ def opened(
 ) -> tuple[LogReader, Rates]:
     """A log, read once and checked, and the rates of the observer for it."""
     watched: list[Log] = []
-    known = "cutoff" in machine.stated(given)
+    known = not machine.chooses(given)
     reader = LogReader(
         path,
         machine.signals,
