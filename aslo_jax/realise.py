@@ -278,8 +278,9 @@ class Pass:
         self, name: str | None, by: Callable[[], Array], *, whole: bool = False
     ) -> str:
         """The full name of a new state that follows a measured signal, which jumps where
-        samples come back: while they are missing it is kept less `by()`, a function of that
-        signal, and where they come back, unless `whole`, less what of that has no weight."""
+        samples come back: while they are missing it is kept less `by()`, a function of
+        that signal, and where they come back, unless `whole`, less what of that has no
+        weight."""
         full = self._realisation.claim(self._scope, name)
         if self._interval is not None and self._interval.before is not None:
             now, before = self._interval.weight, self._interval.before

@@ -119,7 +119,7 @@ def test_step_is_replay(hole, engine):
     """Also where the state is left amid a hole and taken up again."""
     t, u, y, _ = motor_log(ROWS)
     u, y, _ = spoilt(u, y, hole)
-    made = aslo.Asymptotic(observer(), 30.0)
+    made = aslo.Asymptotic(observer(guard=aslo.Guard(1e-3)), 30.0)
     whole = aslo.replay(made, t, u, y, missing="coast", engine=engine, substeps=2)
     state, step = made.init(y[0], u[0]), eqx.filter_jit(made.step)
     for k in range(1, ROWS):
@@ -141,6 +141,8 @@ def test_step_is_replay(hole, engine):
     joined = np.concatenate([first.value, second.value[1:]])
     np.testing.assert_allclose(joined[20:], whole.value[20:], rtol=1e-9, atol=1e-13)
 
+
+def test_uneven_intervals():
     t, *_ = motor_log()
     t = t + 1e-4 * np.sin(np.arange(t.size))
     y = np.asarray(jax.vmap(MOTOR.current)(t))
@@ -157,7 +159,9 @@ def test_step_is_replay(hole, engine):
 
 def test_rows_hold_through_a_hole_where_the_derivative_is_known():
     """The velocity of a chain of integrators is known from its force alone: with the exact
-    start the rows of every completion hold through a hole to the error of sampling."""
+    start the rows of every completion hold through a hole, but for the interval at its
+    end: its slope, the mean one of the hole and so up to 0.4 m/s off, counts for 1 in 200
+    rows and enters by the 8e-3 that the filter moves in a row."""
     dt, rows = 1e-3, 600
     t = np.arange(rows) * dt
     velocity = 0.4 + np.sin(3 * t) / 3
@@ -169,7 +173,7 @@ def test_rows_hold_through_a_hole_where_the_derivative_is_known():
             aslo.plants.IntegratorChain(2).relation(), aslo.LowPass(8.0), completion
         )
         found = aslo.replay(made, t, u, y, missing="coast").value[:, 0]
-        np.testing.assert_allclose(found[20:], velocity[20:], atol=2e-6)
+        np.testing.assert_allclose(found[20:], velocity[20:], atol=2e-5)
 
 
 @pytest.mark.parametrize("guard", [None, aslo.Guard(1e-3)])
@@ -182,7 +186,8 @@ def test_the_estimate_converges_at_the_rate_of_the_filter(guard):
     error = np.linalg.norm(found - flux, axis=1) / MOTOR.magnet_flux
     assert 1e-3 < error[330] < 0.2
     for later in (100, 200):
-        assert error[330 + later] < 2 * error[330] * np.exp(-0.025 * later) + 1e-4
+        past = 0.025 * later  # of two filters in a row
+        assert error[330 + later] < 2 * error[330] * (1 + past) * np.exp(-past) + 1e-4
 
 
 def test_a_hole_is_no_worse_than_held_samples_under_noise():
