@@ -154,7 +154,7 @@ def test_uneven_intervals():
     ]
     np.testing.assert_allclose(*estimates, rtol=1e-9)
     error = np.linalg.norm(estimates[0] - jax.vmap(MOTOR.flux)(t), axis=1) / 0.05
-    assert error[150:].max() < 2e-3
+    assert error[150:].max() < 5e-3  # a hole of 0.03 rad
 
 
 def test_rows_hold_through_a_hole_where_the_derivative_is_known():
@@ -164,30 +164,42 @@ def test_rows_hold_through_a_hole_where_the_derivative_is_known():
     rows and enters by the 8e-3 that the filter moves in a row."""
     dt, rows = 1e-3, 600
     t = np.arange(rows) * dt
-    velocity = 0.4 + np.sin(3 * t) / 3
     u = (np.sin(3 * (t + dt)) - np.sin(3 * t)) / 3 / dt
     y = 0.1 + 0.4 * t + (1 - np.cos(3 * t)) / 9
-    y[200:400] = np.nan
+    lost = np.where((t >= 0.2) & (t < 0.4), np.nan, y)
     for completion in (aslo.Repeat(), aslo.LeastSquares()):
         made = aslo.AlgebraicObserver(
             aslo.plants.IntegratorChain(2).relation(), aslo.LowPass(8.0), completion
         )
-        found = aslo.replay(made, t, u, y, missing="coast").value[:, 0]
-        np.testing.assert_allclose(found[20:], velocity[20:], atol=2e-5)
+        found = aslo.replay(made, t, u, lost, missing="coast").value
+        whole = aslo.replay(made, t, u, y).value
+        np.testing.assert_allclose(found[20:], whole[20:], atol=2e-5)
 
 
 @pytest.mark.parametrize("guard", [None, aslo.Guard(1e-3)])
 def test_the_estimate_converges_at_the_rate_of_the_filter(guard):
-    """What a hole leaves behind is forgotten by as many e-folds as the filter's."""
-    t, u, y, flux = motor_log(1000)
-    y[300:330] = np.nan
-    made = aslo.AlgebraicObserver(RELATION, aslo.LowPass(25.0), guard=guard)
-    found = aslo.replay(made, t, u, y, missing="coast", substeps=4).value
-    error = np.linalg.norm(found - flux, axis=1) / MOTOR.magnet_flux
-    assert 1e-3 < error[330] < 0.2
-    for later in (100, 200):
-        past = 0.025 * later  # of two filters in a row
-        assert error[330 + later] < 2 * error[330] * (1 + past) * np.exp(-past) + 1e-4
+    """One input that is missing leaves the error of the one held in its place, which decays
+    as the filter does; its row of weight zero changes F[1] by 1 % at most."""
+    dt, rate, bad = 1e-3, 8.0, 300
+    t = np.arange(700) * dt
+    u = np.where(np.arange(700) < bad, 1.0, -1.0)
+    velocity = np.concatenate([[0.2], 0.2 + np.cumsum(u * dt)[:-1]])
+    y = np.concatenate([[0.0], np.cumsum(velocity * dt + u * dt**2 / 2)[:-1]])
+    lost = u.copy()
+    lost[bad] = np.nan
+    made = aslo.AlgebraicObserver(
+        aslo.plants.IntegratorChain(2).relation(),
+        aslo.LowPass(rate),
+        aslo.Repeat(),
+        guard=guard,
+    )
+    whole = aslo.replay(made, t, u, y).value[:, 0]
+    error = aslo.replay(made, t, lost, y, missing="coast").value[:, 0] - whole
+    at_once = (u[bad - 1] - u[bad]) * dt
+    np.testing.assert_allclose(error[bad + 1], at_once, rtol=0.02)
+    after = np.arange(1, 300)
+    expected = error[bad + 1] * np.exp(-rate * dt * after)
+    np.testing.assert_allclose(error[bad + 1 + after], expected, rtol=0.03)
 
 
 def test_a_hole_is_no_worse_than_held_samples_under_noise():
