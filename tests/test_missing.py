@@ -86,9 +86,8 @@ def test_the_estimate_is_near_that_without_holes_again(name, coasted):
                 continue
             late = np.abs(e.value[k, -20:] - whole[-20:]).max(axis=0) / scale
             slow = ("paper", "guess", "Luenberger", "Kalman", "FO", "asymptotic", "phase")
-            bound = (
-                0.1 if any(word in name for word in (*slow, "differ", "bearing")) else 0.03
-            )
+            bound = 0.1 if any(word in name for word in (*slow, "differ")) else 0.03
+            bound = 0.2 if name == "bearing" else bound  # 95 rows are 3 time constants
             assert (late < bound).all(), (hole, late)
 
 
@@ -179,7 +178,7 @@ def test_rows_hold_through_a_hole_where_the_derivative_is_known():
 @pytest.mark.parametrize("guard", [None, aslo.Guard(1e-3)])
 def test_the_estimate_converges_at_the_rate_of_the_filter(guard):
     """One input that is missing leaves the error of the one held in its place, which decays
-    as the filter does; its row of weight zero changes F[1] by 1 % at most."""
+    as the filter does, over F[1], to which the hole does no more than 1 %."""
     dt, rate, bad = 1e-3, 8.0, 300
     t = np.arange(700) * dt
     u = np.where(np.arange(700) < bad, 1.0, -1.0)
@@ -198,8 +197,9 @@ def test_the_estimate_converges_at_the_rate_of_the_filter(guard):
     at_once = (u[bad - 1] - u[bad]) * dt
     np.testing.assert_allclose(error[bad + 1], at_once, rtol=0.02)
     after = np.arange(1, 300)
-    expected = error[bad + 1] * np.exp(-rate * dt * after)
-    np.testing.assert_allclose(error[bad + 1 + after], expected, rtol=0.03)
+    settled = lambda k: 1.0 - np.exp(-rate * dt * k)
+    left = np.exp(-rate * dt * after) * settled(bad + 1) / settled(bad + 1 + after)
+    np.testing.assert_allclose(error[bad + 1 + after], error[bad + 1] * left, rtol=0.01)
 
 
 def test_a_hole_is_no_worse_than_held_samples_under_noise():
