@@ -11,9 +11,11 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, PyTree
 
 from ._checks import is_concrete, real
-from .observers import AbstractObserver, ObserverState
+from .observers import AbstractObserver, Estimate, ObserverState
+from .observers._missing import either, finite, marked, zeros
 
 ENGINES = ("auto", "fused", "scan")
+MISSING = ("refuse", "coast", "interpolate")
 PIECE = 1 << 20  # instants looked at at once
 Checked = tuple[Any, PyTree, PyTree, Any]  # the first instant (s), u, y, and intervals (s)
 
@@ -29,6 +31,7 @@ def replay(
     return_state: bool = False,
     max_gap: float | None = None,
     engine: str = "scan",
+    missing: str = "refuse",
 ) -> Any:
     """Run an observer over a log: arrays in, arrays out.
 
@@ -51,7 +54,13 @@ def replay(
       many logs beside each other in it. `"auto"` is `"fused"` where that extra is installed
       and no argument is traced by a transformation of JAX, so that derivatives and
       `jax.jit` are as with `"scan"`; an observer that cannot be compiled runs by `"scan"`,
-      with a warning that says why.
+      with a warning that says why;
+    - `missing`: what becomes of a row of u or y with an entry that is not finite.
+      `"refuse"` names it; `"coast"` takes it as missing, sample by sample, exactly as
+      [`AbstractObserver.step`][] does: the estimate coasts, and is flagged; `"interpolate"`
+      puts it on the line between the finite entries before and after it in its column (at
+      the ends of the log, holds the nearest), and flags nothing, for holes that are short
+      beside every motion. It looks ahead, which `step` cannot.
 
     Intervals equal to within rounding share their coefficients, computed once; otherwise
     each interval has its own. Compiled once for each structure of observer and log.
@@ -61,12 +70,18 @@ def replay(
     parameters.
 
     **Raises:** `ValueError` (or, under `jax.jit`, an error from `eqx.error_if`) for
-    shapes that differ, a sample that is not finite, time that does not increase, or a gap
-    above `max_gap`; [`NotFusible`][] for an observer that the fused engine cannot compile.
+    shapes that differ, a sample that is not finite where that is refused, time that does
+    not increase, or a gap above `max_gap`; [`NotFusible`][] for an observer that the fused
+    engine cannot compile.
     """
     if engine not in ENGINES:
         raise ValueError(
             f'Argument `engine` must be "auto", "fused" or "scan", but got {engine!r}.'
+        )
+    if missing not in MISSING:
+        raise ValueError(
+            f'Argument `missing` must be "refuse", "coast" or "interpolate", but got '
+            f"{missing!r}."
         )
     u, y = _signal("u", u), _signal("y", y)
     # Concrete instants keep the precision they came with until intervals are taken: JAX's
@@ -75,14 +90,19 @@ def replay(
     _check_shapes(instants, u, y)
     instants = _check_time(instants, max_gap)
     interval = common_interval(instants)
-    u, y = _check_finite("u", u), _check_finite("y", y)
+    if missing == "refuse":
+        u, y = _check_finite("u", u), _check_finite("y", y)
+    elif missing == "interpolate":
+        # The last u belongs to no interval.
+        u, y = _joined("u", u, instants, 1), _joined("y", y, instants, 0)
     if interval is None:
         xp = np if is_concrete(instants) else jnp
         intervals, common = real(xp.diff(instants)), None
     else:
         intervals, common = None, real(interval)
     log = real(instants[0]), u, y, intervals
-    estimate, final = run_log(observer, log, common, substeps, state, engine)
+    coasts = missing == "coast" or _amid(state)
+    estimate, final = run_log(observer, log, common, substeps, state, engine, coasts)
     return (estimate, final) if return_state else estimate
 
 
@@ -93,22 +113,32 @@ def run_log(
     substeps: int,
     state: ObserverState | None,
     engine: str,
+    coasts: bool = False,
 ) -> tuple[Any, ObserverState]:
     """[`replay`][] of a `log` that has been checked: its first instant, u, y, and its
-    intervals (s) where they have no length in `common`."""
+    intervals (s) where they have no length in `common`; `coasts`: whether samples may be
+    missing in it."""
     if engine == "auto" and not _may_fuse((observer, log, common, state)):
         engine = "scan"
     if engine == "scan":
-        return _run(observer, log, common, substeps, state)
+        return _run(observer, log, common, substeps, state, coasts)
     from .engines.frontend.lower import NotFusible
 
     try:
-        return _run_fused(observer, log, common, substeps, state)
+        return _run_fused(observer, log, common, substeps, state, coasts)
     except NotFusible as error:
         if engine == "fused":
             raise
         warnings.warn(f'Running with engine="scan". {error}', stacklevel=3)
-        return _run(observer, log, common, substeps, state)
+        return _run(observer, log, common, substeps, state, coasts)
+
+
+def _amid(state: ObserverState | None) -> bool:
+    """Whether a state may have been left where samples are missing."""
+    if state is None or state.gap is None:
+        return False
+    weight = state.gap.weight
+    return not is_concrete(weight) or bool(np.any(np.asarray(weight) != 1.0))
 
 
 def _may_fuse(arguments: PyTree) -> bool:
@@ -124,18 +154,22 @@ def _run(
     common: Array | None,
     substeps: int,
     state: ObserverState | None,
+    coasts: bool,
 ) -> tuple[Any, ObserverState]:
     t0, u, y, intervals = log
     u0, y0 = jax.tree.map(lambda s: s[0], (u, y))
     if state is None:
         state = observer.init(y0, u0)
-    first = observer.estimate(t0, state, u0, y0)
+    first = _first(observer, t0, state, u0, y0, coasts)
     laws = observer.allocate(y0, u0)
     coefficients = None if common is None else laws.discretise(common / substeps)
 
     def body(state, sample):
         u, y, h = sample
         own = laws.discretise(h / substeps) if coefficients is None else coefficients
+        if coasts:
+            dt = common if h is None else h
+            return observer.take(state, u, y, dt, own, substeps=substeps)
         return observer.advance(state, u, y, own, substeps=substeps)
 
     held, sampled = jax.tree.map(lambda s: s[:-1], u), jax.tree.map(lambda s: s[1:], y)
@@ -150,6 +184,7 @@ def _run_fused(
     common: Any,
     substeps: int,
     state: ObserverState | None,
+    coasts: bool,
 ) -> tuple[Any, ObserverState]:
     from .engines.fused.replay import replay_fused  # which needs an extra
 
@@ -160,11 +195,19 @@ def _run_fused(
     u, y = jax.tree.map(xp.asarray, (u, y))
     u0, y0 = jax.tree.map(lambda s: s[0], (u, y))
     interval = None if common is None else common / substeps
-    state, first, coefficients = _begun(observer, t0, u0, y0, state, interval)
+    state, first, coefficients = _begun(observer, t0, u0, y0, state, interval, coasts)
     held, sampled = jax.tree.map(lambda s: s[:-1], u), jax.tree.map(lambda s: s[1:], y)
     assert state is not None
     rest, final = replay_fused(
-        observer, state, held, sampled, intervals, coefficients, substeps
+        observer,
+        state,
+        held,
+        sampled,
+        intervals,
+        coefficients,
+        substeps,
+        common if coasts else None,
+        coasts,
     )
 
     def joined(a: Any, b: Any) -> Any:
@@ -175,11 +218,21 @@ def _run_fused(
 
 
 @eqx.filter_jit
-def _begun(observer, t0, u, y, state, interval):
+def _begun(observer, t0, u, y, state, interval, coasts):
     """The state to begin with, its estimate, and the coefficients for an `interval` (s)."""
     state = observer.init(y, u) if state is None else state
     laws = None if interval is None else observer.allocate(y, u).discretise(interval)
-    return state, observer.estimate(t0, state, u, y), laws
+    return state, _first(observer, t0, state, u, y, coasts), laws
+
+
+def _first(observer, t0, state, u, y, coasts):
+    """The estimate at the first row, which may be missing; of u it depends on nothing."""
+    if not coasts:
+        return observer.estimate(t0, state, u, y)
+    there = finite(y)
+    u = either(finite(u), u, zeros(u))
+    y = either(there, observer.continued(state.y, y), state.y)
+    return marked(observer.estimate(t0, state, u, y), ~there, Estimate)
 
 
 def _signal(name: str, signal: PyTree) -> PyTree:
@@ -284,3 +337,44 @@ def _check_finite(name: str, signal: PyTree) -> PyTree:
         return leaf
 
     return jax.tree_util.tree_map_with_path(check, signal)
+
+
+def _joined(name: str, signal: PyTree, t: Any, held: int) -> PyTree:
+    """Every entry that is not finite on the line between those before and after it in its
+    column, or for an input, each of which is `held`, between the middles of intervals."""
+
+    def join(path, leaf):
+        where = f"{name}{jax.tree_util.keystr(path)}"
+        concrete = is_concrete(leaf) and is_concrete(t)
+        xp = np if concrete else jnp
+        columns = xp.asarray(leaf).reshape(leaf.shape[0], -1)
+        if concrete and not np.isfinite(columns).any(axis=0).all():
+            raise ValueError(
+                f"Argument `{where}` must have a finite entry in every column for "
+                '`missing="interpolate"`, but one of them has none.'
+            )
+        ends = xp.asarray(t)
+        last = xp.concatenate([ends[1:], 2 * ends[-1:] - ends[-2:-1]])
+        at = 0.5 * (ends + last) if held else ends
+        lines = [_line(xp, at, column) for column in columns.T]
+        return xp.stack(lines, axis=1).reshape(leaf.shape)
+
+    return jax.tree_util.tree_map_with_path(join, signal)
+
+
+def _line(xp: Any, t: Any, x: Any) -> Any:
+    """x, where it is not finite on the line between its neighbours."""
+    there, rows = xp.isfinite(x), xp.arange(x.shape[0])
+    known = xp.where(there, x, 0.0)
+    if xp is np:
+        before = np.maximum.accumulate(np.where(there, rows, -1))
+        after = np.minimum.accumulate(np.where(there, rows, x.shape[0])[::-1])[::-1]
+    else:
+        before = jax.lax.cummax(jnp.where(there, rows, -1))
+        after = jax.lax.cummin(jnp.where(there, rows, x.shape[0]), reverse=True)
+    low = xp.where(before < 0, after, before)
+    high = xp.where(after == x.shape[0], before, after)
+    low, high = xp.clip(low, 0, x.shape[0] - 1), xp.clip(high, 0, x.shape[0] - 1)
+    gap = xp.where(high > low, t[high] - t[low], 1.0)
+    part = ((t - t[low]) / gap * (high > low)).astype(x.dtype)
+    return xp.where(there, x, known[low] + part * (known[high] - known[low]))

@@ -100,7 +100,8 @@ class LeastSquares(AbstractCompletion):
         if A is None:
             M = F.hidden(rr, "M")
             v = F.hidden(rb + contract(M, z), "v")
-            scale = F.hidden(F.inject(row.scale**2), "scale")
+            # In a hole M decays and this does not, so that the certificate does.
+            scale = F.hidden(F.filter.inject(row.scale**2), "scale")
         else:
 
             def drive(M):

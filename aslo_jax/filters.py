@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Bool, Float, PyTree
 
 from ._checks import kind, optional_real, positive, real, stable
 from ._small import exponential_integrals
@@ -183,6 +183,31 @@ class LinearSystem(AbstractLaw):
             jnp.tensordot(decay, X, axes=1)
             + jnp.tensordot(left, v0, axes=1)
             + jnp.tensordot(right, v1, axes=1)
+        )
+
+
+class Switched(AbstractLaw):
+    """`measured`, or `alone` where a sample is `missing`: the same state without what is
+    measured. Both are driven by what is known in either case."""
+
+    measured: AbstractLaw
+    alone: AbstractLaw
+    missing: Bool[Array, ""]
+
+    def _either(self, a: PyTree, b: PyTree) -> PyTree:
+        return jax.tree.map(lambda a, b: jnp.where(self.missing, a, b), a, b)
+
+    def flow(self, X, v):
+        return self._either(self.alone.flow(X, v), self.measured.flow(X, v))
+
+    def discretise(self, h):
+        return self.measured.discretise(h), self.alone.discretise(h)
+
+    def advance(self, X, v0, v1, coefficients):
+        measured, alone = coefficients
+        return self._either(
+            self.alone.advance(X, v0, v1, alone),
+            self.measured.advance(X, v0, v1, measured),
         )
 
 

@@ -88,6 +88,8 @@ class Guard(eqx.Module):
     ) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
         """The guarded estimate, shape `(n,)`, and whether it coasts, shape `()`."""
         certified = self.certified(certificate)
+        if not F.certain:
+            certified = certified & ~F.missing
         # The memory follows fast and serves later: it can wait for rounding to vanish.
         trust = self.trust(certificate, widening=1e6)
         c = F.evolve(

@@ -7,15 +7,32 @@ sampling interval ([`Advance`][]). States are addressed by name.
 
 import abc
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Bool, Float, PyTree
 
 from .filters import AbstractFilter, AbstractLaw, Integrator
 
 States = dict[str, Any]
+
+
+class Interval(NamedTuple):
+    """What a pass over one end of a sampling interval knows of it, where samples may be
+    missing.
+
+    - `missing`: whether one is, shape `()`;
+    - `weight`: of what is injected over it, shape `()`: 1, or 0 where a sample is missing,
+      or less than 1 where samples come back;
+    - `before`: that of the interval before; `None` at the right end.
+    """
+
+    missing: Bool[Array, ""]
+    weight: Float[Array, ""]
+    before: Float[Array, ""] | None = None
+
+
 Drive = PyTree | Callable[[PyTree], PyTree]
 
 
@@ -50,6 +67,10 @@ class AbstractRealisation(abc.ABC):
         """[`evolve`][] in two parts, for a drive that needs the state by way of others: the
         value, now, and `close(drive)`, which returns the final value. When sampled, the
         first value is the predictor of Heun's method and the final one the corrected."""
+
+    def shift(self, name: str, by: Array) -> None:
+        """Add to the state `name` before the interval, at whose left end this pass is."""
+        raise NotImplementedError(f"`{type(self).__name__}` has no interval to begin.")
 
     def claim(self, scope: str, name: str | None) -> str:
         """The full name of a new state: unique in the pass, the same in every pass."""
@@ -110,6 +131,9 @@ class Flow(AbstractRealisation):
         self.rates[name] = law.flow(X, v)
         self.drives[name] = v
         return X
+
+    def shift(self, name, by):
+        self.states = {**self.states, name: _found(self.states, name) + by}
 
     def loop(self, name, law, start):
         def close(drive):
@@ -175,11 +199,15 @@ class Pass:
         filter: AbstractFilter | None = None,
         start: str = "exact",
         scope: str = "",
+        interval: Interval | None = None,
+        doubted: Bool[Array, ""] | None = None,
     ):
         self._realisation = realisation
         self._filter = filter
         self._start = start
         self._scope = scope
+        self._interval = interval
+        self._doubted = doubted
 
     @property
     def filter(self) -> AbstractFilter:
@@ -195,17 +223,81 @@ class Pass:
     def using(self, filter: AbstractFilter, start: str | None = None) -> "Pass":
         """The same pass with `filter` bound to it."""
         mode = self._start if start is None else start
-        return Pass(self._realisation, filter, mode, self._scope)
+        return self._with(filter=filter, start=mode)
 
     def scope(self, name: str) -> "Pass":
         """The same pass with the names of its states nested under `name`."""
-        return Pass(self._realisation, self._filter, self._start, f"{self._scope}{name}.")
+        return self._with(scope=f"{self._scope}{name}.")
+
+    def doubting(self, doubted: Bool[Array, ""]) -> "Pass":
+        """The same pass for what measures something `doubted`, shape `()`: no correction by
+        it is trusted."""
+        if self._doubted is not None:
+            doubted = doubted | self._doubted
+        return self._with(doubted=doubted)
+
+    def _with(self, **changed: Any) -> "Pass":
+        kept = {
+            "filter": self._filter,
+            "start": self._start,
+            "scope": self._scope,
+            "interval": self._interval,
+            "doubted": self._doubted,
+        }
+        return Pass(self._realisation, **(kept | changed))
+
+    @property
+    def certain(self) -> bool:
+        """Whether no sample can be missing in this pass, nor doubted, which is known while
+        tracing."""
+        return self._interval is None and self._doubted is None
+
+    @property
+    def missing(self) -> Bool[Array, ""]:
+        """Whether a sample of this interval is missing or doubted, shape `()`."""
+        missing = jnp.asarray(False) if self._interval is None else self._interval.missing
+        return missing if self._doubted is None else missing | self._doubted
+
+    @property
+    def trust(self) -> Float[Array, ""] | float:
+        """What a correction by a measurement is to be multiplied by: 1, and 0 over an
+        interval of which a sample is missing."""
+        return 1.0 if self.certain else jnp.where(self.missing, 0.0, 1.0)
+
+    @property
+    def weight(self) -> Float[Array, ""] | float:
+        """The weight of what is injected: 1, and 0 where a sample is missing."""
+        return 1.0 if self._interval is None else self._interval.weight
+
+    def measured(self, y: Array, predicted: Array) -> Array:
+        """y, or over an interval of which a sample is missing what the observer predicts
+        in its place, so that it corrects nothing."""
+        return y if self.certain else jnp.where(self.missing, predicted, y)
+
+    def apart(
+        self, name: str | None, by: Callable[[], Array], *, whole: bool = False
+    ) -> str:
+        """The full name of a new state that follows a measured signal, which jumps where
+        samples come back: while they are missing it is kept less `by()`, a function of
+        that signal, and where they come back, unless `whole`, less what of that has no
+        weight."""
+        full = self._realisation.claim(self._scope, name)
+        if self._interval is not None and self._interval.before is not None:
+            now, before = self._interval.weight, self._interval.before
+            if whole:
+                now, before = jnp.sign(now), jnp.sign(before)
+            self._realisation.shift(full, (now - before).astype(by().dtype) * by())
+        return full
 
     def evolve(
         self, law: AbstractLaw, drive: Drive, start: PyTree, name: str | None = None
     ) -> PyTree:
         """A state that follows `law` under `drive`, a value or a function of the state."""
         full = self._realisation.claim(self._scope, name)
+        return self._realisation.evolve(full, law, drive, start)
+
+    def continued(self, full: str, law: AbstractLaw, drive: Drive, start: PyTree) -> PyTree:
+        """[`evolve`][] of a state whose full name [`apart`][] gave."""
         return self._realisation.evolve(full, law, drive, start)
 
     def loop(
@@ -222,8 +314,10 @@ class Pass:
         return self.evolve(Integrator(), rate, start, name)
 
     def inject(self, s: Array | float) -> Array:
-        """`B s`."""
-        return self.filter.inject(s)
+        """`B s`; with the exact start nothing over an interval of which a sample is
+        missing: a row with every injection weighted alike still holds."""
+        v = self.filter.inject(s)
+        return self.weight * v if self.exact and self._interval is not None else v
 
     def output(self, X: Array) -> Array:
         """`C X`."""
@@ -259,7 +353,12 @@ class Pass:
                 "of a filter with feedthrough is improper; use `LowPass` or a "
                 "`LinearFilter` with `D=None`."
             )
-        v = self.inject(s)
+        v = self.filter.inject(s)
         settled = self.exact if settled is None else settled
         start = self.filter.equilibrium(s) if settled else jnp.zeros_like(v)
-        return self.output(self.filter.flow(self.hidden(v, name, start), v))
+        # While samples are missing the state is kept less its equilibrium, so that F[s'] is
+        # A X and decays, and s goes on from where it comes back.
+        v = v if self._interval is None else self.weight * v
+        full = self.apart(name, lambda: self.filter.equilibrium(s))
+        X = self.continued(full, self.filter, v, start)
+        return self.output(self.filter.flow(X, v))

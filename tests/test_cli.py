@@ -21,6 +21,7 @@ REQUIRED = [
     "omega_electrical",
     "certificate",
     "coasting",
+    "coasting_speed",
 ]
 ERRORS = [
     "error_flux_alpha",

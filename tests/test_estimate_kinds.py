@@ -63,7 +63,7 @@ CASES = {
         "resistance = 8.875\ninductance = 40.03e-3\nmagnet_flux = 0.2086\n"
         "pole_pairs = 5\ninertia = 60e-6",
         motor(8.875, 40.03e-3, 40.03e-3, 0.2086, 5, 200.0, 1.5),
-        [*MOTOR, "certificate", "coasting"],
+        [*MOTOR, "certificate", "coasting", "coasting_speed"],
         {FLUX: 1.5e-4},
     ),
     "stepper": Case(
@@ -71,14 +71,14 @@ CASES = {
         "resistance = 0.55\ninductance = 1.5e-3\ntorque_constant = 0.19\n"
         "pole_pairs = 50\ninertia = 4.5e-5",
         motor(0.55, 1.5e-3, 1.5e-3, 0.19 / 50, 50, 300.0, 2.0),
-        [*MOTOR, "certificate", "coasting"],
+        [*MOTOR, "certificate", "coasting", "coasting_speed"],
         {FLUX: 6e-4},
     ),
     "interior": Case(
         "interior_pmsm",
         INTERIOR + "magnet_flux = 0.545",
         SALIENT,
-        [*MOTOR, "certificate", "coasting"],
+        [*MOTOR, "certificate", "coasting", "coasting_speed"],
         {FLUX: 7.5e-5},
         settled=0.15,  # the default gain, 111 rad/s, has forgotten its start
     ),
@@ -86,7 +86,7 @@ CASES = {
         "interior_pmsm",
         INTERIOR,
         SALIENT,
-        [*MOTOR, "certificate", "coasting"],
+        [*MOTOR, "certificate", "coasting", "coasting_speed"],
         {FLUX: 5e-3},  # not of sampling, but of the d current that ripples by 0.7 A
         observer='saliency = "neglected"',
     ),

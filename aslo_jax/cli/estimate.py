@@ -37,8 +37,9 @@ rad), sampled at t[k]; SI units throughout.
 
 Columns out: t and what is estimated; certificate (dimensionless, small where that is not
 observable); coasting (1 where the certificate is below the threshold and the estimate is
-carried along its known derivative); and, where the log has truth, for scoring only, error_*
-(estimate less truth). Angles are unwrapped. By the kind of machine:
+carried along its known derivative); of motors coasting_speed (1 also until a phase-locked
+loop follows the angle, and where it does not); and, where the log has truth, for scoring
+only, error_* (estimate less truth). Angles are unwrapped. By the kind of machine:
 """
 
 
@@ -87,7 +88,7 @@ def estimate(
         float | None,
         typer.Option(
             help="Bandwidth of the phase-locked loop (rad/s) of a motor, in place of the "
-            "machine's; 100 by default."
+            "machine's; by default 100, or more for a log that accelerates fast."
         ),
     ] = None,
     substeps: Annotated[

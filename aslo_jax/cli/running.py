@@ -51,7 +51,7 @@ def opened(
     """A log, read once and checked, and the rates of the observer for it; `chain` is what
     else [`LogReader`][] takes."""
     watched: list[Log] = []
-    known = "cutoff" in machine.stated(given)
+    known = not machine.chooses(given)
     reader = LogReader(
         path,
         machine.signals,

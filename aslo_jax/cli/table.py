@@ -7,7 +7,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from .._replay import common_interval, run_log
 from ..diagnosis import Rows, touched
@@ -15,6 +15,7 @@ from ..logs import Log
 from ..machines import AbstractDescription
 from ..machines.base import Columns, Rates
 from ..observers import AbstractObserver, PhaseLockedLoop
+from ..observers.pll import lagless
 
 PIECE = 50_000  # rows replayed at once
 
@@ -24,7 +25,8 @@ class Piece:
     """Rows of the table of estimates.
 
     - `columns`, each of shape `(N,)`: `t` (s), the quantities of the machine, `certificate`
-      and `coasting` with every suffix, and where there is truth the errors, estimate less
+      and `coasting` with every suffix, `coasting_speed` and the like for what a
+      phase-locked loop gives, and where there is truth the errors, estimate less
       truth;
     - `truth`: the truth by the names of that table;
     - `residuals`: those of the machine, by quantity, where there is no truth.
@@ -121,7 +123,8 @@ class Estimator:
         bandwidth = rates["pll_bandwidth"].value if self._tracked else 0.0
         self._bandwidth = bandwidth
         self._loops = {
-            q.name: Replayed(PhaseLockedLoop(bandwidth), interval) for q in self._tracked
+            q.name: Replayed(PhaseLockedLoop(bandwidth, wraps=False), interval)
+            for q in self._tracked
         }
         self._rows, self._first = 0, first
         self._last: Columns = {}
@@ -155,12 +158,13 @@ class Estimator:
         for quantity in self._tracked:
             assert quantity.tracks is not None
             start = self.starts.get(quantity.suffix, self._first)
-            found[quantity.columns[0]] = self._speed(
+            found[quantity.columns[0]], away = self._speed(
                 quantity.name,
                 log.t,
                 found[quantity.tracks],
                 log.t.size if start is None else max(start - begin, 0),
             )
+            found[f"coasting_{quantity.name}"] = away | found[f"coasting{quantity.suffix}"]
         self._rows = begin + log.t.size
         truth = self.machine.truth(log)
         whole = self._table(found, log.t, truth)
@@ -190,19 +194,22 @@ class Estimator:
         t: Float[np.ndarray, " N"],
         angle: Float[np.ndarray, " N"],
         first: int,
-    ) -> Float[np.ndarray, " N"]:
-        """The speed (rad/s) of an angle (rad) that counts from row `first`, before it zero.
+    ) -> tuple[Float[np.ndarray, " N"], UInt8[np.ndarray, " N"]]:
+        """The speed (rad/s) of an angle (rad) that counts from row `first`, before it zero,
+        and where the loop does not yet agree with the angle, or no longer does.
 
         It is `w + 2 b e` of the loop's state w and angle error e: unlike w alone, it does
         not lag under constant acceleration."""
-        speed = np.zeros_like(t)
+        speed, away = np.zeros_like(t), np.ones(t.size, np.uint8)
         if t.size - first < 2:
-            return speed
+            return speed, away
         t, angle = t[first:], angle[first:]
         loop = self._loops[name](t, np.zeros_like(t), angle)
-        error = _wrapped(angle - loop.value[:, 0])
-        speed[first:] = loop.value[:, 1] + 2.0 * self._bandwidth * error
-        return speed
+        error = angle - loop.value[:, 0]
+        intervals = np.diff(t, prepend=2 * t[0] - t[1])
+        speed[first:] = loop.value[:, 1] + lagless(self._bandwidth, intervals) * error
+        away[first:] = loop.coasting
+        return speed, away
 
     def _table(self, found: Columns, t: Float[np.ndarray, " N"], truth: Columns) -> Columns:
         suffixes = self.machine.suffixes()
@@ -210,6 +217,7 @@ class Estimator:
         names = [name for quantity in quantities for name in quantity.columns]
         names += [f"certificate{suffix}" for suffix in suffixes]
         names += [f"coasting{suffix}" for suffix in suffixes]
+        names += [f"coasting_{quantity.name}" for quantity in self._tracked]
         columns = {"t": t} | {name: found[name] for name in names}
         angles = [q.columns[0] for q in quantities if q.angle]
         for name, true in truth.items():

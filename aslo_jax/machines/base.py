@@ -68,6 +68,7 @@ class Rate(NamedTuple):
 
 
 Rates = dict[str, Rate]
+FROM_THE_LOG = ("cutoff", "pll_bandwidth")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -202,7 +203,7 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         return self.columns_of_log().suffixes()
 
     def condensed(self, log: Log) -> Log:
-        """Of a log, or of a piece of one, what `default_rates` looks at where no cutoff is
+        """Of a log, or of a piece of one, what `default_rates` looks at where a rate is not
         stated, in as few columns as it takes: of a long log they are all that is held in
         memory. By default nothing but the instants."""
         nothing = np.zeros((log.t.size, 0))
@@ -227,6 +228,12 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
                 )
         in_file = {k: getattr(self.observer, k) for k in known}
         return {k: v for k, v in (in_file | dict(given)).items() if v is not None}
+
+    def chooses(self, given: Mapping[str, float] | None = None) -> bool:
+        """Whether `default_rates` looks at the columns of `condensed`: where a rate that it
+        may choose for the log, the cutoff or that of a loop, is not stated."""
+        fields = type(self.observer).model_fields
+        return any(k in fields and k not in self.stated(given) for k in FROM_THE_LOG)
 
     def rates_of(
         self, condensed: Log | None, given: Mapping[str, float] | None = None

@@ -33,8 +33,8 @@ def threshold(default: float = 1e-3) -> Any:
 
 def pll_bandwidth() -> Any:
     return key(
-        "bandwidth of the phase-locked loop, by default 100 or, if that is less, half of "
-        "the sampling rate",
+        "bandwidth of the phase-locked loop, by default 100, more for a log that "
+        "accelerates fast, and at most half of the sampling rate",
         "rad/s",
         default=None,
         example=100.0,

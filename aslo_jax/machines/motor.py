@@ -24,9 +24,10 @@ from .base import (
     certified,
     in_columns,
 )
-from .speed import cutoff_for, turning_speed
+from .speed import cutoff_for, turning_acceleration, turning_speed
 
-PLL_BANDWIDTH = 100.0  # rad/s
+PLL_BANDWIDTH = 100.0  # rad/s, unless the log accelerates fast
+LAG = 0.3  # rad: what the angle of a loop may lag by at the acceleration of the log
 LONGEST_INTERVAL = 5e-3  # s: 200 Hz, or 200 kHz with time in milliseconds
 
 FLUX = ("flux_alpha", "flux_beta")
@@ -88,13 +89,13 @@ def driving(log: Log, resistance: float) -> Log:
 def motor_rates(log: Log | None, stated: Mapping[str, float]) -> Rates:
     """The rates of a motor's observer that are not `stated`, from a log of [`driving`][].
 
-    The loop is sampled by Heun's method, which needs its bandwidth below half of the
-    sampling rate: the default gives way to that, a stated bandwidth is refused."""
+    A loop with a bandwidth above half of the sampling rate only passes noise on: the
+    default gives way to that, a stated bandwidth is refused."""
     rates: Rates = {}
     interval = 0.0 if log is None else float(np.median(np.diff(log.t)))
     fastest = 0.5 / interval if interval else np.inf
     if "pll_bandwidth" not in stated:
-        rates["pll_bandwidth"] = Rate(min(PLL_BANDWIDTH, fastest))
+        rates["pll_bandwidth"] = _bandwidth(log, fastest)
     elif stated["pll_bandwidth"] > fastest:
         raise MachineError(
             f"the bandwidth of the phase-locked loop must be at most {fastest:.4g} rad/s "
@@ -108,6 +109,18 @@ def motor_rates(log: Log | None, stated: Mapping[str, float]) -> Rates:
             cutoff_for(speed), f"for the log's electrical speed of {speed:.4g} rad/s"
         )
     return rates
+
+
+def _bandwidth(log: Log | None, fastest: float) -> Rate:
+    """The lag of a loop of bandwidth b at the acceleration al is `al / b^2`."""
+    if log is None or log.u.shape[1] != 2:
+        return Rate(min(PLL_BANDWIDTH, fastest))
+    acceleration = turning_acceleration(log.t, log.u)
+    wanted = (acceleration / LAG) ** 0.5
+    if wanted <= PLL_BANDWIDTH:
+        return Rate(min(PLL_BANDWIDTH, fastest))
+    why = f"for the log's electrical acceleration of {acceleration:.4g} rad/s^2"
+    return Rate(min(wanted, fastest), why)
 
 
 def motor_columns(estimate: Any, magnet: Float[np.ndarray, "N 2"]) -> Columns:

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 PIECE = 64 << 14  # rows
+WINDOW = 0.02  # s
 MINIMUM_CUTOFF = 5.0  # rad/s, what a log of a machine at rest gets
 
 
@@ -35,6 +36,25 @@ def turning_speed(t: Float[np.ndarray, " N"], v: Float[np.ndarray, "N 2"]) -> fl
         if size == previous:
             break
     return speed
+
+
+def turning_acceleration(t: Float[np.ndarray, " N"], v: Float[np.ndarray, "N 2"]) -> float:
+    """How fast that rate changes (rad/s^2): the difference from window to window of 20 ms,
+    as the fourth root of the mean of its fourth power, so that a short run-up counts,
+    weighted with the square of v; zero for a short log."""
+    rows = max(round(WINDOW / float(np.median(np.diff(t)))), 8)
+    starts = np.arange(0, t.size - rows, rows)
+    if starts.size < 2:
+        return 0.0
+    turned, weight = np.zeros(starts.size), np.zeros(starts.size)
+    for k, first in enumerate(starts):
+        w, h = v[first : first + rows + 1], np.diff(t[first : first + rows + 1])
+        turned[k] = np.sum(w[:-1, 0] * w[1:, 1] - w[:-1, 1] * w[1:, 0])
+        weight[k] = np.sum(0.5 * np.sum(w[:-1] ** 2 + w[1:] ** 2, axis=1) * h)
+    speed = turned / np.where(weight > 0, weight, 1.0)
+    change = np.diff(speed) / np.diff(t[starts])
+    both = np.minimum(weight[1:], weight[:-1])
+    return float((np.sum(both * change**4) / max(both.sum(), 1e-300)) ** 0.25)
 
 
 def _blocks(x: Float[np.ndarray, "N *k"], size: int) -> Float[np.ndarray, "M *k"]:

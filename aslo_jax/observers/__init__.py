@@ -31,6 +31,7 @@ from .extended_kalman import (
 from .fo1 import FO1 as FO1
 from .fo2 import FO2 as FO2
 from .fo3 import FO3 as FO3
+from .gated import Gated as Gated
 from .kalman import SteadyStateKalman as SteadyStateKalman
 from .luenberger import ReducedLuenberger as ReducedLuenberger
 from .open_loop import OpenLoopIntegrator as OpenLoopIntegrator

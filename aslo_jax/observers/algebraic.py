@@ -54,7 +54,7 @@ class AlgebraicObserver(AbstractObserver):
         row = terms.row(F.scope("row"))
         x, certificate = self.completion(F.scope("completion"), row)
         if self.guard is None:
-            return Estimate(x, certificate, jnp.asarray(False))
+            return Estimate(x, certificate, F.missing)
         initial = jnp.zeros_like(x) if self.initial is None else self.initial
         if initial.shape != x.shape:
             raise ValueError(

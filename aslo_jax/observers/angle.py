@@ -113,7 +113,7 @@ class AlgebraicMagnet(AbstractObserver):
         excess = jnp.abs(jnp.sum(chi * chi) - square) * safe_reciprocal(square)
         certificate = certificate * jnp.clip(1.0 - excess, 0.0, 1.0)
         if self.guard is None:
-            return Estimate(chi, certificate, jnp.asarray(False))
+            return Estimate(chi, certificate, F.missing)
         initial = zero if self.initial is None else self.initial
         flux, coasting = self.guard(
             F.scope("guard"), chi + L * y, certificate, terms, initial

@@ -11,7 +11,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
 
 from .._checks import kind, positive
 from .._signals import check_signals
-from ..realise import Advance, Flow, Pass, Start, States
+from ..realise import Advance, Flow, Interval, Pass, Start, States
+from ._missing import Gap, either, marked, whole
 
 
 class Estimate(eqx.Module):
@@ -21,7 +22,7 @@ class Estimate(eqx.Module):
     - `certificate`: a dimensionless measure of observability, shape `()`, see
       [`AbstractCompletion`][]; 1 for an observer that has none;
     - `coasting`: whether `value` is carried along the known derivative because the state
-      is not observable now, shape `()`.
+      is not observable now, or because the sample is missing, shape `()`.
     """
 
     value: Float[Array, "*batch n"]
@@ -70,11 +71,13 @@ class ObserverState(eqx.Module):
     """The state of an observer, a value: save it, restore it, batch it.
 
     - `states`: every filter and other state, by name;
-    - `y`: the last measurement, from which the next sampling interval begins.
+    - `y`: the last measurement, from which the next sampling interval begins;
+    - `gap`: what is remembered in case a sample is missing; `None` in continuous time.
     """
 
     states: States
     y: PyTree
+    gap: Gap | None = None
 
 
 class AbstractObserver(eqx.Module):
@@ -97,21 +100,25 @@ class AbstractObserver(eqx.Module):
         return self.equations(F, u, y)
 
     def init(self, y: PyTree, u: PyTree | None = None) -> ObserverState:
-        """The state at the first measurement `y`. Of `u` only the shape matters, which by
-        default is that of y."""
+        """The state at the first measurement `y`; where that is not finite, the observer
+        begins at the first one that is. Of `u` only the shape matters, which by default is
+        that of y."""
         y = jax.tree.map(jnp.asarray, y)
-        return ObserverState(self.allocate(y, u).states, y)
+        gap, y = Gap.before(self._input(y, u), y)
+        return ObserverState(self.allocate(y, u).states, y, gap)
 
     def allocate(self, y: PyTree, u: PyTree | None = None) -> Start:
         """The pass that allocates the states; it knows the laws they follow."""
         start = Start()
+        self(Pass(start), self._input(y, u), y)
+        return start
+
+    def _input(self, y: PyTree, u: PyTree | None) -> PyTree:
         if u is None:
             shape = getattr(self, "signals", {}).get("u")
             y0 = jnp.zeros(shape, jnp.result_type(float)) if shape is not None else y
             u = jax.tree.map(jnp.zeros_like, y0)
-        u = jax.tree.map(jnp.asarray, u)
-        self(Pass(start), u, y)
-        return start
+        return jax.tree.map(jnp.asarray, u)
 
     def vector_field(
         self, t: Float[Array, ""], state: ObserverState, u: PyTree, y: PyTree
@@ -120,7 +127,8 @@ class AbstractObserver(eqx.Module):
         del t
         flow = Flow(state.states)
         self(Pass(flow), u, y)
-        return ObserverState(flow.rates, jax.tree.map(jnp.zeros_like, state.y))
+        still = jax.tree.map(jnp.zeros_like, (state.y, state.gap))
+        return ObserverState(flow.rates, *still)
 
     def estimate(
         self, t: Float[Array, ""], state: ObserverState, u: PyTree, y: PyTree
@@ -143,12 +151,55 @@ class AbstractObserver(eqx.Module):
 
         `substeps` split the interval with interpolated y, where products of signals curve
         within it. Compile a loop of steps with `eqx.filter_jit`.
+
+        A sample with an entry that is not finite is missing, as [`take`][] says.
         """
         positive("dt", dt, "s")
         u, y = jax.tree.map(jnp.asarray, (u, y))
         interval = jnp.asarray(dt) / max(substeps, 1)
-        coefficients = self.allocate(y, u).discretise(interval)
-        return self.advance(state, u, y, coefficients, substeps=substeps)
+        coefficients = self.allocate(state.y, u).discretise(interval)
+        return self.take(state, u, y, dt, coefficients, substeps=substeps)
+
+    def take(
+        self,
+        state: ObserverState,
+        u: PyTree,
+        y: PyTree,
+        dt: Float[Array, ""] | float,
+        coefficients: PyTree,
+        *,
+        substeps: int = 1,
+    ) -> tuple[ObserverState, Any]:
+        """[`step`][] with the coefficients of the laws already at hand: [`advance`][], and
+        a `u` or a `y` with an entry that is not finite counts as missing.
+
+        Over an interval that ends with a missing y, or whose u is missing, nothing is
+        injected into a filter and nothing is corrected: the estimate is carried along its
+        known derivative, with the signals that were last known, and `coasting` says so.
+        When y comes back, its interval begins on the line between it and the last y that
+        was known, and counts for its part of the time between the two. Rows of
+        the exact start hold through a hole but for the error of that derivative over it,
+        which is forgotten at the rate of the filters; it is small where nothing turns by
+        more than about a tenth of a radian meanwhile. Before the first y that is finite
+        nothing is known; there the observer begins.
+        """
+        gap = Gap.before(u, state.y)[0] if state.gap is None else state.gap
+        y = self.continued(state.y, y)
+        now = whole(gap, state.y, u, y, dt)
+        begun = self.allocate(now.y, now.u).states
+        states = either(now.first, begun, state.states)
+        weight, before = now.weights
+        ends = Interval(now.missing, weight, before), Interval(now.missing, weight)
+        states, estimate = self._across(
+            states, now.u, now.left, now.y, coefficients, substeps, ends
+        )
+        estimate = marked(estimate, now.missing, Estimate)
+        return ObserverState(states, now.y, now.gap), estimate
+
+    def continued(self, before: PyTree, y: PyTree) -> PyTree:
+        """The measurement y as the observer takes it, after the one `before`."""
+        del before
+        return y
 
     def advance(
         self,
@@ -160,26 +211,44 @@ class AbstractObserver(eqx.Module):
         substeps: int = 1,
     ) -> tuple[ObserverState, Any]:
         """[`step`][] with the coefficients of the laws, `allocate(y, u).discretise(dt /
-        substeps)`, already at hand."""
+        substeps)`, already at hand, for samples none of which is missing."""
+        y = self.continued(state.y, y)
+        states, estimate = self._across(
+            state.states, u, state.y, y, coefficients, substeps, (None, None)
+        )
+        gap = None if state.gap is None else state.gap.after(u)
+        return ObserverState(states, y, gap), estimate
+
+    def _across(
+        self,
+        states: States,
+        u: PyTree,
+        before: PyTree,
+        y: PyTree,
+        coefficients: PyTree,
+        substeps: int,
+        ends: tuple[Interval | None, Interval | None],
+    ) -> tuple[States, Any]:
+        """The states after an interval from `before` to `y`, and the estimate there."""
         if not isinstance(substeps, int) or substeps < 1:
             raise ValueError(
                 f"Argument `substeps` must be an integer of at least 1, but got {substeps}."
             )
-        left = Flow(state.states)
-        self(Pass(left), u, state.y)
+        left = Flow(states)
+        self(Pass(left, interval=ends[0]), u, before)
         states, drives = left.states, left.drives
         if substeps > 1:
 
             def piece(at_left, theta):
                 right = Advance(at_left[0], at_left[1], coefficients)
-                self(Pass(right), u, _between(state.y, y, theta))
+                self(Pass(right, interval=ends[1]), u, _between(before, y, theta))
                 return (right.advanced, right.drives), None
 
             inner = jnp.arange(1, substeps) / substeps
             (states, drives), _ = jax.lax.scan(piece, (states, drives), inner)
         right = Advance(states, drives, coefficients)
-        estimate = self(Pass(right), u, y)
-        return ObserverState(right.advanced, y), estimate
+        estimate = self(Pass(right, interval=ends[1]), u, y)
+        return right.advanced, estimate
 
 
 def check_observers(observers: Any) -> None:

@@ -60,7 +60,7 @@ class BearingObserver(AbstractObserver):
         flux = self.flux(F.scope("flux"), u, y)
         q = relation.position(flux.value, y)
         # As for the guard's memory: rounding has become small where trust begins.
-        trust = guard.trust(flux.certificate, widening=1e6)
+        trust = F.trust * guard.trust(flux.certificate, widening=1e6)
         F = F.using(self.filter, "exact").scope("velocity")
         e, toward = F.hidden(F.inject(trust), "weight"), F.inject(trust)
         w, w_rate = e * e, 2.0 * e * self.filter.flow(e, toward)

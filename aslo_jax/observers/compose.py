@@ -3,11 +3,21 @@
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import PyTree
+from jaxtyping import Array, Bool, PyTree
 
 from ..realise import Pass
 from .base import AbstractObserver, Estimate, check_observers
+
+
+def _coasting(estimate: Any) -> Bool[Array, ""]:
+    """Whether an estimate, or one of a tree of them, coasts."""
+    each = jax.tree.leaves(estimate, is_leaf=lambda e: isinstance(e, Estimate))
+    found = jnp.asarray(False)
+    for one in each:
+        found = found | one.coasting
+    return found
 
 
 class SideBySide(AbstractObserver):
@@ -49,7 +59,9 @@ class Staged(AbstractObserver):
 
     - `connect(u, y, estimate) -> (u, y)`: the signals of the second stage.
 
-    The estimate is a dictionary with the entries `first` and `second`.
+    The estimate is a dictionary with the entries `first` and `second`. While the first
+    stage coasts, the second does not correct by what it measures (a [`PhaseLockedLoop`][]
+    starts where it no longer does).
     """
 
     first: AbstractObserver
@@ -59,5 +71,6 @@ class Staged(AbstractObserver):
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> dict[str, Any]:
         first = self.first(F.scope("first"), u, y)
         u, y = self.connect(u, y, first)
-        second = self.second(F.scope("second"), u, y)
+        doubted = _coasting(first)
+        second = self.second(F.scope("second").doubting(doubted), u, y)
         return {"first": first, "second": second}

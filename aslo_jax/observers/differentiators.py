@@ -7,7 +7,7 @@ from jaxtyping import Array, Float, PyTree
 
 from .._checks import positive, real
 from .._signals import check_shapes
-from ..filters import AbstractFilter, AbstractLaw, LinearSystem
+from ..filters import AbstractFilter, AbstractLaw, LinearSystem, Switched
 from ..plants import AbstractMechanicalSystem
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
@@ -59,10 +59,29 @@ class HighGain(AbstractObserver):
             model = 0.0 * y
             if self.system is not None:
                 model = self.system.acceleration(y, x[1], u)
-            return jnp.stack([2.0 * w * y, model + w * w * y])
+            q = F.trust * y
+            return jnp.stack([2.0 * w * q, model + w * w * q])
 
+        law = Switched(_DoublePole(w), _Free(w), F.missing)
         start = jnp.stack([y, jnp.zeros_like(y)]).astype(jnp.result_type(y, w))
-        return _uncertified(F.evolve(_DoublePole(w), drive, start, "position_velocity")[1])
+        return _uncertified(F.evolve(law, drive, start, "position_velocity")[1])
+
+
+class _Free(AbstractLaw):
+    """`x1' = x2 + v1`, `x2' = v2`, x of shape `(2, n)`, for a velocity that moves on alone;
+    `like` has the type of x."""
+
+    like: Float[Array, " n"]
+
+    def flow(self, X, v):
+        return jnp.stack([X[1], jnp.zeros_like(X[1])]) + v
+
+    def discretise(self, h):
+        return jnp.asarray(h, self.like.dtype)
+
+    def advance(self, X, v0, v1, coefficients):
+        h, gained = coefficients, 0.5 * coefficients * (v0 + v1)
+        return X + gained + jnp.stack([h * (X[1] + 0.5 * gained[1]), 0.0 * X[1]])
 
 
 class _DoublePole(AbstractLaw):
@@ -116,18 +135,19 @@ class SuperTwisting(AbstractObserver):
 
     def equations(self, F: Pass, u: PyTree, y: Float[Array, " n"]) -> Estimate:
         del u
-        law = _SuperTwist(jnp.broadcast_to(self.bound, y.shape))
+        law = _SuperTwist(jnp.broadcast_to(self.bound, y.shape), F.trust)
         start = jnp.stack([y, jnp.zeros_like(y)]).astype(jnp.result_type(y, self.bound))
         return _uncertified(F.evolve(law, y, start, "position_velocity")[1])
 
 
 class _SuperTwist(AbstractLaw):
-    """The law of [`SuperTwisting`][], driven by q."""
+    """The law of [`SuperTwisting`][], driven by q where `trust` is not zero."""
 
     bound: Float[Array, " n"]
+    trust: Float[Array, ""] | float
 
     def flow(self, X, v):
-        e = v - X[0]
+        e = self.trust * (v - X[0])
         size = jnp.abs(e)
         root = jnp.sqrt(jnp.where(size > 0, size, 1.0)) * (size > 0)
         first = X[1] + 1.5 * jnp.sqrt(self.bound) * root * jnp.sign(e)
@@ -140,11 +160,12 @@ class _SuperTwist(AbstractLaw):
         # e+ + h 1.5 sqrt(L |e+|) sign e+ + h^2 1.1 L sign e+ = e, the error predicted: with
         # the sign as a set at zero there is one solution for every e.
         h, L = coefficients, self.bound
-        e = v1 - X[0] - h * X[1]
+        predicted = X[0] + h * X[1]
+        e = self.trust * (v1 - predicted)
         step, root = 1.1 * L * h * h, 1.5 * h * jnp.sqrt(L)
         rest = jnp.abs(e) - step
         outside = rest > 0
         rest = jnp.where(outside, rest, 0.0)
         half = 0.5 * (jnp.sqrt(root * root + 4.0 * rest) - root)
         sign = jnp.where(outside, jnp.sign(e), e / step)
-        return jnp.stack([v1 - sign * half**2, X[1] + 1.1 * L * h * sign])
+        return jnp.stack([predicted + e - sign * half**2, X[1] + 1.1 * L * h * sign])

@@ -96,18 +96,20 @@ class Belief(NamedTuple):
 
 class _KalmanBucy(AbstractLaw):
     """The belief, driven by `(u, y)`: Riccati's equation in continuous time; sampled, a
-    prediction over the interval with u held, and an update by the y at its end."""
+    prediction over the interval with u held, and an update by the y at its end, or where
+    `trust` is zero none."""
 
     model: AbstractModel
     process: Float[Array, "n n"]
     measurement: Float[Array, "p p"]
+    trust: Float[Array, ""] | float = 1.0
 
     def flow(self, X, v):
         (u, y), (x, P) = v, X
         A = jax.jacfwd(self.model.drift)(x, u)
         H = jax.jacfwd(self.model.output)(x)
         PHt = P @ H.T
-        gain = _divide(PHt, self.measurement)
+        gain = self.trust * _divide(PHt, self.measurement)
         rate = self.model.drift(x, u) + gain @ (y - self.model.output(x))
         AP = A @ P
         return Belief(rate, AP + AP.T + self.process - gain @ PHt.T)
@@ -124,7 +126,7 @@ class _KalmanBucy(AbstractLaw):
         P = transition @ (X.covariance + half) @ transition.T + half
         H = jax.jacfwd(self.model.output)(x)
         V = self.measurement / h
-        gain = _divide(P @ H.T, H @ P @ H.T + V)
+        gain = self.trust * _divide(P @ H.T, H @ P @ H.T + V)
         # Joseph's form: symmetric, and definite whatever rounding does to the gain.
         rest = jnp.eye(x.shape[0], dtype=x.dtype) - gain @ H
         P = rest @ P @ rest.T + gain @ V @ gain.T
@@ -247,7 +249,7 @@ class ExtendedKalman(AbstractObserver):
     def belief(self, F: Pass, u: PyTree, y: PyTree) -> Belief:
         """Mean and covariance of the whole state."""
         u, y = jax.tree.map(jnp.asarray, u), jnp.atleast_1d(y)
-        law = _KalmanBucy(self.model, self.process, self.measurement)
+        law = _KalmanBucy(self.model, self.process, self.measurement, F.trust)
         start = Belief(self.initial, self.covariance)
         return F.evolve(law, (u, y), start, "belief")
 

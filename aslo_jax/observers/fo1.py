@@ -94,5 +94,5 @@ class FO1(AbstractObserver):
     def equations(self, F: Pass, u: Float[Array, " 2"], y: Float[Array, " 2"]) -> Estimate:
         q, omega, Y = self.regression(F, u, y)
         start = jnp.zeros_like(q) if self.initial is None else self.initial
-        eta = F.evolve(_Gradient(self.gain), (omega, Y), start, "eta")
+        eta = F.evolve(_Gradient(self.gain * F.trust), (omega, Y), start, "eta")
         return Estimate(q + eta, jnp.ones_like(Y), jnp.asarray(False))

@@ -91,7 +91,7 @@ class FO2(AbstractObserver):
     def equations(self, F: Pass, u: Float[Array, " 2"], y: Float[Array, " 2"]) -> Estimate:
         relation = self.relation
         drive = _Drive(u - relation.resistance * y, relation.inductance * y)
-        law = _Radial(self.gain, relation.magnet_flux, self.one_sided)
+        law = _Radial(self.gain * F.trust, relation.magnet_flux, self.one_sided)
         start = jnp.zeros_like(drive.rate) if self.initial is None else self.initial
         flux = F.evolve(law, drive, start, "flux")
         return Estimate(flux, jnp.ones_like(flux[0]), jnp.asarray(False))

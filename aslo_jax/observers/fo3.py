@@ -91,7 +91,10 @@ class FO3(AbstractObserver):
         D, N = _cramer(R, b)
         start = jnp.zeros_like(terms.z) if self.initial is None else self.initial
         x = F.evolve(
-            _Mixing(self.gain), lambda x: _Drive(D, N, terms.drift(x)), start, "mixing"
+            _Mixing(self.gain * F.trust),
+            lambda x: _Drive(D, N, terms.drift(x)),
+            start,
+            "mixing",
         )
         return Estimate(x, certificate, ~Guard().certified(certificate))
 

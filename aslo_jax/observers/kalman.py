@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from .._checks import is_concrete, optional_real, real, stable
 from .._signals import vector
-from ..filters import LinearSystem
+from ..filters import LinearSystem, Switched
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
 
@@ -60,9 +60,10 @@ class SteadyStateKalman(AbstractObserver):
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
         u = vector("u", u, self.B.shape[1])
         y = vector("y", y, self.C.shape[0])
-        drive = self.B @ u + self.gain @ y
+        drive = self.B @ u + F.trust * (self.gain @ y)
         start = jnp.zeros_like(drive) if self.initial is None else self.initial
         law = LinearSystem(self.A - self.gain @ self.C)
+        law = Switched(law, LinearSystem(self.A), F.missing)
         x = F.evolve(law, drive, start, "kalman")
         value = x if self.select is None else self.select @ x
         return Estimate(value, jnp.ones_like(value[0]), jnp.asarray(False))

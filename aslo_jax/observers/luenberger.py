@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, PyTree
 
 from .._checks import is_concrete, optional_real, positive, real, stable
 from .._signals import vector
-from ..filters import LinearSystem
+from ..filters import LinearSystem, Switched
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
 
@@ -61,5 +61,10 @@ class ReducedLuenberger(AbstractObserver):
         A, B = self.A, self.B
         drive = (error @ L + A[p:, :p] - L @ A[:p, :p]) @ y + (B[p:] - L @ B[:p]) @ u
         start = jnp.zeros_like(drive) if self.initial is None else self.initial - L @ y
-        value = F.evolve(LinearSystem(error), drive, start, "luenberger") + L @ y
+        law, inside = LinearSystem(error), jnp.sign(F.weight)
+        law = Switched(law, LinearSystem(A[p:, p:]), inside == 0)
+        # Without y the state is the estimate itself, x' = A22 x + A21 y + B2 u.
+        drive = jnp.where(inside == 0, A[p:, :p] @ y + B[p:] @ u, drive)
+        name = F.apart("luenberger", lambda: -(L @ y), whole=True)
+        value = F.continued(name, law, drive, start) + inside * (L @ y)
         return Estimate(value, jnp.ones_like(value[0]), jnp.asarray(False))

@@ -18,8 +18,9 @@ class Unwrapped(AbstractObserver):
 
     - `angles`: for each entry, whether it is an angle.
 
-    An angle must turn by less than pi from sample to sample. In continuous time angles are
-    taken as they are, since a jump is no matter of sampling there.
+    An angle must turn by less than pi from sample to sample, missing ones left out. In
+    continuous time angles are taken as they are, since a jump is no matter of sampling
+    there.
 
     Source: theory, section 5.
     """
@@ -34,9 +35,9 @@ class Unwrapped(AbstractObserver):
     def equations(self, F: Pass, u: PyTree, y: PyTree):
         return self.observer(F, u, y)
 
-    def advance(self, state, u, y, coefficients, *, substeps=1):
-        y = _continued(state.y, y, jnp.asarray(self.angles))
-        return self.observer.advance(state, u, y, coefficients, substeps=substeps)
+    def continued(self, before, y):
+        y = _continued(before, y, jnp.asarray(self.angles))
+        return self.observer.continued(before, y)
 
 
 def _continued(

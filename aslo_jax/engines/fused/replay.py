@@ -28,16 +28,20 @@ def replay_fused(
     intervals: Array | None,
     coefficients: PyTree,
     substeps: int,
+    common: Array | None = None,
+    coasts: bool = False,
 ) -> tuple[Any, ObserverState]:
     """The estimates after each interval, and the last state, from the held `u` and the `y`
     at the ends of the `intervals` (s). Where these are all the same they are `None`, and
-    the `coefficients` of the observer's laws are given in their place.
+    the `coefficients` of the observer's laws are given in their place, with the `common`
+    one (s) where the observer `coasts` over samples that are missing.
 
     Under `jax.vmap` the logs, states and observers of a batch run beside each other. It has
     no derivative."""
     arrays, rest = eqx.partition(observer, eqx.is_array)
-    leaves, tree = jax.tree.flatten((arrays, state, u, y, intervals, coefficients))
-    run = _Replay(rest, tree, [np.ndim(x) for x in leaves], substeps)
+    fixed = coefficients, common
+    leaves, tree = jax.tree.flatten((arrays, state, u, y, intervals, fixed))
+    run = _Replay(rest, tree, [np.ndim(x) for x in leaves], substeps, coasts)
     if is_concrete(*leaves):
         # Not `jnp.asarray`, which compiles a copy for every shape.
         return jax.device_put(run([np.asarray(x) for x in leaves]))
@@ -48,8 +52,11 @@ def replay_fused(
 class _Replay:
     """The replay of a batch of logs as a function of arrays with any axes in front."""
 
-    def __init__(self, rest: PyTree, tree: Any, ranks: list[int], substeps: int):
+    def __init__(
+        self, rest: PyTree, tree: Any, ranks: list[int], substeps: int, coasts: bool
+    ):
         self.rest, self.tree, self.ranks, self.substeps = rest, tree, ranks, substeps
+        self.coasts = coasts
 
     def shapes(self, leaves: list[Any]) -> Any:
         arrays, state, *signals, coefficients = jax.tree.unflatten(self.tree, leaves)
@@ -62,8 +69,12 @@ class _Replay:
 
     def _advance(self, arrays, state, u, y, h, coefficients):
         observer = eqx.combine(arrays, self.rest)
+        coefficients, dt = coefficients
         if h is not None:
-            coefficients = observer.allocate(y, u).discretise(h / self.substeps)
+            coefficients = observer.allocate(state.y, u).discretise(h / self.substeps)
+            dt = h
+        if self.coasts:
+            return observer.take(state, u, y, dt, coefficients, substeps=self.substeps)
         return observer.advance(state, u, y, coefficients, substeps=self.substeps)
 
     def __call__(self, leaves: list[Any]) -> Any:
@@ -109,8 +120,9 @@ class _Replay:
         rest = jax.tree.flatten(self.rest)
         leaves, tree = jax.tree.flatten(shapes)
         of_leaves = tuple((s.shape, np.dtype(s.dtype)) for s in leaves)
+        how = self.substeps, self.coasts
         wide = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
-        return tuple(rest[0]), rest[1], self.tree, self.substeps, of_leaves, tree, wide
+        return tuple(rest[0]), rest[1], self.tree, *how, of_leaves, tree, wide
 
 
 def _shape(x: np.ndarray, drop: int) -> jax.ShapeDtypeStruct:
