@@ -32,6 +32,7 @@ from .fo1 import FO1 as FO1
 from .fo2 import FO2 as FO2
 from .fo3 import FO3 as FO3
 from .kalman import SteadyStateKalman as SteadyStateKalman
+from .lifted import Lifted as Lifted
 from .luenberger import ReducedLuenberger as ReducedLuenberger
 from .open_loop import OpenLoopIntegrator as OpenLoopIntegrator
 from .pll import PhaseLockedLoop as PhaseLockedLoop, wrap as wrap

@@ -21,12 +21,15 @@ class Estimate(eqx.Module):
     - `certificate`: a dimensionless measure of observability, shape `()`, see
       [`AbstractCompletion`][]; 1 for an observer that has none;
     - `coasting`: whether `value` is carried along the known derivative because the state
-      is not observable now, shape `()`.
+      is not observable now, shape `()`;
+    - `covariance`: that of `value`, shape `(n, n)`, in products of its units, where the
+      observer knows it.
     """
 
     value: Float[Array, "*batch n"]
     certificate: Float[Array, "*batch"]
     coasting: Bool[Array, "*batch"]
+    covariance: Float[Array, "*batch n n"] | None = None
 
 
 class ObserverState(eqx.Module):
