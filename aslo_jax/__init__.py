@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     )
     from ._replay import replay as replay
     from ._simulate import Simulation as Simulation, simulate as simulate
+    from ._smooth import smooth as smooth
     from .completions import (
         AbstractCompletion as AbstractCompletion,
         FilterBank as FilterBank,
@@ -164,6 +165,7 @@ __all__ = [
     "replay",
     "run_batch",
     "simulate",
+    "smooth",
     "structure_of",
     "study",
     "swap",
@@ -176,6 +178,7 @@ __getattr__, __dir__ = _lazily(
     {
         "_replay": ("replay",),
         "_simulate": ("Simulation", "simulate"),
+        "_smooth": ("smooth",),
         "completions": ("AbstractCompletion", "FilterBank", "LeastSquares", "Repeat"),
         "engines": ("Batch", "NotFusible", "Runner", "run_batch"),
         "experiment": ("Experiment", "Record"),

@@ -68,6 +68,16 @@ def replay(
         raise ValueError(
             f'Argument `engine` must be "auto", "fused" or "scan", but got {engine!r}.'
         )
+    log, common = checked_log(t, u, y, max_gap)
+    estimate, final = run_log(observer, log, common, substeps, state, engine)
+    return (estimate, final) if return_state else estimate
+
+
+def checked_log(
+    t: ArrayLike, u: PyTree[ArrayLike], y: PyTree[ArrayLike], max_gap: float | None = None
+) -> tuple[Checked, Any]:
+    """A log whose shapes, instants and values are as [`replay`][] wants them, for
+    [`run_log`][], and its interval (s) if there is a common one."""
     u, y = _signal("u", u), _signal("y", y)
     # Concrete instants keep the precision they came with until intervals are taken: JAX's
     # single precision resolves 1 ms after 10,000 s.
@@ -81,9 +91,7 @@ def replay(
         intervals, common = real(xp.diff(instants)), None
     else:
         intervals, common = None, real(interval)
-    log = real(instants[0]), u, y, intervals
-    estimate, final = run_log(observer, log, common, substeps, state, engine)
-    return (estimate, final) if return_state else estimate
+    return (real(instants[0]), u, y, intervals), common
 
 
 def run_log(

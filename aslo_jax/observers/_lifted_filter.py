@@ -271,21 +271,19 @@ def _measured(
             assert grown is not None
             gathered = scaled(grown[k].regressors, unsteady[k])
         moved = has_moved(m, d[x], f[x], P, gathered)
-        f[x] = [jnp.where(moved, e, 0.0) for e in f[x]]
-        steady = _row(f, U)
         innovation = less(less(m.value, dot(h, mean)), dot(m.J, known_n))
-        value = plus(plus(innovation, dot(steady, mean)), dot(m.J, known_n))
+        value = plus(plus(innovation, dot(h, mean)), dot(m.J, known_n))
         # The noise of the value is in part in the state, so that the state tells of it.
         shared = divided(U, [dot(e, m.J) for e in by_y])
         told = [times(e, reciprocal(q)) for e, q in zip(shared, d, strict=True)]
         V = less(plus(blur, own), dot(shared, told))
-        f = [plus(a, b) for a, b in zip(f, told, strict=True)]
+        f = [jnp.where(moved, plus(a, b), 0.0) for a, b in zip(f, told, strict=True)]
+        share = dot([times(a, b) for a, b in zip(d[:r], f[:r], strict=True)], f[:r])
         U, d, gain, inverse = measured(U, d, f, V)
         if index + 1 < len(rows):
             # What the next row has to know of the noise of y.
             q = [
-                plus(dot(steady, [e[j] for e in by_y]), dot(spread_n[j], m.J))
-                for j in range(p)
+                plus(dot(h, [e[j] for e in by_y]), dot(spread_n[j], m.J)) for j in range(p)
             ]
             known_n = [
                 plus(a, times(b, times(inverse, innovation)))
@@ -310,19 +308,14 @@ def _measured(
                 for a, b in zip(d, transposed_times(U, information), strict=True)
             ]
             mean = [plus(a, dot(e, by)) for a, e in zip(mean, U, strict=True)]
-        done.append((value, steady, m.J, blur, information))
+            known_n = [
+                plus(a, dot([e[j] for e in by_y], information))
+                for j, a in enumerate(known_n)
+            ]
+        done.append((value, h, m.J, blur, information))
         if k is not None:
-            sigma = dot([times(a, b) for a, b in zip(d[:r], f[:r], strict=True)], f[:r])
-            kept = jnp.where(moved, 1.0 - sigma * inverse, 1.0)
+            kept = jnp.where(moved, 1.0 - share * inverse, 1.0)
             unsteady = [*unsteady]
             unsteady[k] = unsteady[k] * kept * kept
         lists = Lists(r, mean, U, d, unsteady)
     return lists, done
-
-
-def _row(f: list[Any], U: Rows) -> list[Any]:
-    """h of `f = U'h`."""
-    h: list[Any] = []
-    for j in range(len(f)):
-        h.append(less(f[j], dot(h, [U[i][j] for i in range(j)])))
-    return h

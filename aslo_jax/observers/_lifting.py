@@ -7,7 +7,7 @@ Every row of a relation but a linear one has a state of its own, sigma, before t
   `-d = c'x - sigma`;
 - linear, `c'x = d`: none, measured: `d = c'x`.
 
-Source: theory, section 4.
+Source: theory, section 10.
 """
 
 from collections.abc import Callable

@@ -18,6 +18,11 @@ from ._lifting import added, entries, quadratic, rows_of, trace
 from .base import AbstractObserver, Estimate
 
 
+def _deviation(x: Any) -> PyTree:
+    """A list is one array."""
+    return real(x) if isinstance(x, list) else jax.tree.map(real, x)
+
+
 class Lifted(AbstractObserver):
     """The Kalman filter of a relation: with one more state for each row, a rate or a
     quadratic relation is a linear time-varying system, and the filter is the best estimate
@@ -45,12 +50,12 @@ class Lifted(AbstractObserver):
     where it was until it has moved significantly: at rest a motor shows nothing of its
     flux, and its covariance stays what it was.
 
-    Source: theory, section 4; Kalman 1960, doi:10.1115/1.3662552; Bierman 1977.
+    Source: theory, section 10; Kalman 1960, doi:10.1115/1.3662552; Bierman 1977.
     """
 
     relation: Callable[[PyTree, PyTree], Any]
-    output_deviation: PyTree = eqx.field(converter=lambda x: jax.tree.map(real, x))
-    input_deviation: PyTree = eqx.field(converter=lambda x: jax.tree.map(real, x))
+    output_deviation: PyTree = eqx.field(converter=_deviation)
+    input_deviation: PyTree = eqx.field(converter=_deviation)
     prior: Float[Array, "*n"] | None = eqx.field(converter=optional_real, default=None)
     initial: Float[Array, " n"] | None = eqx.field(converter=optional_real, default=None)
     guard: Guard | None = eqx.field(default_factory=lambda: Guard(0.9))

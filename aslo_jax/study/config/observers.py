@@ -22,6 +22,7 @@ from ...observers import (
     FilteredDerivative,
     HighGain,
     Joined,
+    Lifted,
     OpenLoopIntegrator,
     ReducedLuenberger,
     SteadyStateKalman,
@@ -36,6 +37,10 @@ MOTORS = ("pmsm",)
 FLUXES = (*MOTORS, "wrim")
 RELATIONS = ("double_integrator", *FLUXES)
 THRESHOLDS = {"robotic_leg": 1e-2, "ball_beam": 1e-2, "magnetic_bearing": 1e-4}
+
+
+Deviation = Positive | Annotated[list[Positive], Field(min_length=1)]
+DEVIATION = "a positive finite number, or one for each entry of the signal"
 
 
 class AbstractObserverTable(Table, abc.ABC):
@@ -221,6 +226,37 @@ class KalmanTable(AbstractObserverTable):
         )
 
 
+class LiftedTable(AbstractObserverTable):
+    """The Kalman filter of the plant's relation."""
+
+    kind: Literal["lifted_kalman"] = key("the kind of observer")
+    output_deviation: Deviation = key(
+        "standard deviation of the noise on every sample of the output (its unit)",
+        allowed=DEVIATION,
+    )
+    input_deviation: Deviation = key(
+        "standard deviation of the noise on every sample of the input (its unit)",
+        allowed=DEVIATION,
+    )
+    prior: Positive | None = key(
+        "standard deviation of the first belief of every estimated state (its unit), by "
+        "default infinite",
+        default=None,
+    )
+    threshold: Annotated[float, Field(gt=0, lt=1)] = key(
+        "certificate below which it coasts",
+        default=0.9,
+        allowed="a number between 0 and 1",
+    )
+
+    machines = RELATIONS
+
+    def build(self, plant, start):
+        deviations = self.output_deviation, self.input_deviation
+        guard = Guard(self.threshold)
+        return _each(plant, lambda r: Lifted(r, *deviations, prior=self.prior, guard=guard))
+
+
 Gains = Positive | Annotated[list[Positive], Field(min_length=1)]
 GAINS = "a positive finite number, or one for each coordinate"
 
@@ -276,6 +312,7 @@ Observer = Annotated[
     | IntegratorTable
     | LuenbergerTable
     | KalmanTable
+    | LiftedTable
     | HighGainTable
     | SuperTwistingTable
     | DerivativeTable,
