@@ -198,6 +198,53 @@ def test_smoothing_equals_least_squares_over_the_whole_log():
     np.testing.assert_allclose(found.value[-1], last.value[-1], atol=1e-10)
 
 
+class Spring(eqx.Module):
+    """A mass on a spring, whose momentum the noise of the position enters too."""
+
+    def __call__(self, u, y):
+        one = jnp.ones_like(u)
+        return aslo.Rate(c=one[None], s=y, z=(u - 30.0 * y)[None])
+
+
+def spring_batch(u, y, h, prior):
+    """As `batch` for the spring: sigma and x at the start, then for every sample the noise
+    of u before it and that of y at it, which is in x, in sigma and in the value."""
+    count, size = len(y), 2 * len(y)
+    one = np.eye(size)
+    sigma, x = (SY * one[0], y[0]), (prior * one[1], 0.0)
+    rows, values, found = [], [], [x]
+    for k in range(1, count):
+        w, n = one[2 * k], one[2 * k + 1]
+        z0, z1 = u[k - 1] - 30.0 * y[k - 1], u[k - 1] - 30.0 * y[k]
+        noise, shift = -h * SU * w + 30.0 * h * SY * n, 0.5 * h * (z0 + z1)
+        moved = 0.5 * h * shift + h * h / 12 * (z0 - z1)
+        sigma = (sigma[0] + h * x[0] + 0.5 * h * noise, sigma[1] + h * x[1] + moved)
+        x = (x[0] + noise, x[1] + shift)
+        found.append(x)
+        # The value has no noise but n: an exact constraint.
+        rows.append(sigma[0] + SY * n)
+        values.append(y[k] - sigma[1])
+    A = np.array(rows)
+    K = A.T @ np.linalg.inv(A @ A.T)
+    best, S = K @ np.array(values), one - K @ A
+    return (
+        np.array([g @ best + s for g, s in found]),
+        np.array([g @ S @ g for g, _ in found]),
+    )
+
+
+def test_smoothing_knows_that_the_noise_of_y_is_in_the_state():
+    h, count, prior = 0.03, 50, 1.7
+    rng = np.random.default_rng(6)
+    u, y = rng.standard_normal(count), 0.1 * rng.standard_normal(count)
+    observer = aslo.Lifted(Spring(), SY, SU, prior=prior)
+    found = aslo.smooth(observer, h * np.arange(count), u, y)
+    expected, variance = spring_batch(u, y, h, prior)
+    np.testing.assert_allclose(found.value[:, 0], expected, atol=1e-9)
+    # `1 - K A` cancels all but a thousandth of the prior's variance.
+    np.testing.assert_allclose(found.covariance[:, 0, 0], variance, rtol=1e-7)
+
+
 class TwoRows(eqx.Module):
     """x1, and a mixture of x and a second sensor, which share the noise of the first."""
 
@@ -315,13 +362,16 @@ def test_continuous_time_is_the_limit_of_short_intervals(kind):
     observer = aslo.Lifted(relation, current, voltage, **settings)
     _, state = aslo.replay(observer, T, u, y, return_state=True)
     belief = state.states["belief"]
-    flow = observer.vector_field(jnp.zeros(()), state, u[-1], y[-1]).states["belief"]
+    u, y = jnp.asarray(u[-1]), jnp.asarray(y[-1])
+    field = eqx.filter_jit(lambda o, s: o.vector_field(jnp.zeros(()), s, u, y))
+    flow = field(observer, state).states["belief"]
     rates = jax.jvp(whole, (belief,), (flow,))[1]
     # Shorter intervals, with noise of the same intensity.
     h = 1e-7
     more = (H / h) ** 0.5
     finer = aslo.Lifted(relation, more * current, more * voltage, **settings)
-    after = finer.step(state, u[-1], y[-1], h)[0].states["belief"]
+    step = eqx.filter_jit(lambda o, s: o.step(s, u, y, h)[0])
+    after = step(finer, state).states["belief"]
     for a, b, rate in zip(whole(after), whole(belief), rates, strict=True):
         scale = jnp.abs(rate).max()
         np.testing.assert_allclose((a - b) / h, rate, atol=2e-3 * float(scale))
@@ -337,8 +387,9 @@ def test_what_it_refuses():
     ):
         aslo.replay(aslo.Lifted(FLUX, [1e-3] * 3, 1e-2), T, U, Y)
     observer = aslo.Lifted(FLUX, 1e-3, 1e-2)
-    state = observer.init(Y[0])
+    u, y = jnp.asarray(U[0]), jnp.asarray(Y[0])
+    state = observer.init(y)
     with pytest.raises(ValueError, match="Argument `interval` must be given in continuous"):
-        observer.vector_field(jnp.zeros(()), state, U[0], Y[0])
+        observer.vector_field(jnp.zeros(()), state, u, y)
     with pytest.raises(ValueError, match="Argument `observer` must be a `Lifted`, but got"):
         aslo.smooth(aslo.FO2(FLUX, 1.0), T, U, Y)
