@@ -7,16 +7,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
-from ._checks import kind
+from ._checks import unlike
 from ._factored import unpacked
 from ._replay import checked_log
-from .observers import Estimate, Lifted
+from .observers import AbstractObserver, Estimate, Lifted
 from .observers._lifted_filter import LiftedBelief, Stage
 from .observers._lifting import entries, rows_of
 
 
 def smooth(
-    observer: Lifted, t: ArrayLike, u: PyTree[ArrayLike], y: PyTree[ArrayLike]
+    observer: AbstractObserver, t: ArrayLike, u: PyTree[ArrayLike], y: PyTree[ArrayLike]
 ) -> Estimate:
     """The estimate at every instant of a log from the whole log, later samples too:
     fixed-interval smoothing on the Kalman filter of a relation.
@@ -38,7 +38,8 @@ def smooth(
     which needs no inverse of a covariance: Fraser, Potter 1969,
     doi:10.1109/TAC.1969.1099196.
     """
-    kind("observer", observer, Lifted, hint="a `Lifted`")
+    if not isinstance(observer, Lifted):
+        raise unlike("observer", observer, "a `Lifted`")
     log, common = checked_log(t, u, y)
     return _smooth(observer, log, common)
 
