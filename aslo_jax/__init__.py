@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     )
     from ._replay import replay as replay
     from ._simulate import Simulation as Simulation, simulate as simulate
+    from ._smooth import smooth as smooth
     from .completions import (
         AbstractCompletion as AbstractCompletion,
         FilterBank as FilterBank,
@@ -71,6 +72,7 @@ if TYPE_CHECKING:
         Gated as Gated,
         HighGain as HighGain,
         Joined as Joined,
+        Lifted as Lifted,
         ObserverState as ObserverState,
         OpenLoopIntegrator as OpenLoopIntegrator,
         PhaseLockedLoop as PhaseLockedLoop,
@@ -126,6 +128,7 @@ __all__ = [
     "HighGain",
     "Joined",
     "LeastSquares",
+    "Lifted",
     "Linear",
     "LinearFilter",
     "LowPass",
@@ -168,6 +171,7 @@ __all__ = [
     "replay",
     "run_batch",
     "simulate",
+    "smooth",
     "structure_of",
     "study",
     "swap",
@@ -180,6 +184,7 @@ __getattr__, __dir__ = _lazily(
     {
         "_replay": ("replay",),
         "_simulate": ("Simulation", "simulate"),
+        "_smooth": ("smooth",),
         "completions": ("AbstractCompletion", "FilterBank", "LeastSquares", "Repeat"),
         "engines": ("Batch", "NotFusible", "Runner", "run_batch"),
         "experiment": ("Experiment", "Record"),
@@ -200,6 +205,7 @@ __getattr__, __dir__ = _lazily(
             "Gated",
             "HighGain",
             "Joined",
+            "Lifted",
             "ObserverState",
             "OpenLoopIntegrator",
             "PhaseLockedLoop",

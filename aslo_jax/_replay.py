@@ -83,6 +83,21 @@ def replay(
             f'Argument `missing` must be "refuse", "coast" or "interpolate", but got '
             f"{missing!r}."
         )
+    log, common = checked_log(t, u, y, max_gap, missing)
+    coasts = missing == "coast" or _amid(state)
+    estimate, final = run_log(observer, log, common, substeps, state, engine, coasts)
+    return (estimate, final) if return_state else estimate
+
+
+def checked_log(
+    t: ArrayLike,
+    u: PyTree[ArrayLike],
+    y: PyTree[ArrayLike],
+    max_gap: float | None = None,
+    missing: str = "refuse",
+) -> tuple[Checked, Any]:
+    """A log whose shapes, instants and values are as [`replay`][] wants them, for
+    [`run_log`][], and its interval (s) if there is a common one."""
     u, y = _signal("u", u), _signal("y", y)
     # Concrete instants keep the precision they came with until intervals are taken: JAX's
     # single precision resolves 1 ms after 10,000 s.
@@ -100,10 +115,7 @@ def replay(
         intervals, common = real(xp.diff(instants)), None
     else:
         intervals, common = None, real(interval)
-    log = real(instants[0]), u, y, intervals
-    coasts = missing == "coast" or _amid(state)
-    estimate, final = run_log(observer, log, common, substeps, state, engine, coasts)
-    return (estimate, final) if return_state else estimate
+    return (real(instants[0]), u, y, intervals), common
 
 
 def run_log(

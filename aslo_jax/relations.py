@@ -8,6 +8,7 @@ derivative `x' = A x + z` (`A` mostly absent). The Swapping Lemma turns the term
 
 import abc
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -43,7 +44,7 @@ class AbstractTerms(eqx.Module):
     def row(self, F: Pass) -> Row:
         """The relation as a row `r'x = b` free of unmeasured derivatives."""
 
-    def check(self, relation: Callable[..., "AbstractTerms"]) -> None:
+    def check(self, relation: Callable[..., Any]) -> None:
         """Refuse terms that have broadcast: of `relation`, which is named."""
         if self.z.ndim != 1:
             raise ValueError(
@@ -148,7 +149,7 @@ def terms_of(relation: Callable[..., AbstractTerms], u: PyTree, y: PyTree) -> Ab
     return terms
 
 
-def _name(relation: Callable[..., AbstractTerms]) -> str:
+def _name(relation: Callable[..., Any]) -> str:
     return f"`{getattr(relation, '__name__', type(relation).__name__)}`"
 
 

@@ -100,6 +100,8 @@ OBSERVERS = {
     "chain, FO3": aslo.FO3(CHAIN, aslo.LowPass(6.0), 30.0),
     "flux, open loop": aslo.OpenLoopIntegrator(FLUX, MOTOR.flux(jnp.zeros(()))),
     "flux, extended Kalman": aslo.ExtendedKalman.of_pmsm(FLUX, 1e-6, 100.0, 1e-8),
+    "flux, lifted": aslo.Lifted(FLUX, 1e-4, 1e-3, interval=2.5e-3),
+    "chain, lifted": aslo.Lifted(CHAIN, 1e-3, 1e-2, prior=2.0, interval=2.5e-3),
     "magnet": aslo.AlgebraicMagnet(FLUX, FAST),
     "flux, self-consistent": aslo.SelfConsistent(
         SALIENT.machine.self_consistent_relation(), FAST, 20.0, [0.0, 0.0]

@@ -121,6 +121,20 @@ def test_a_file_is_what_it_says():
     assert found.content["machine"]["position"] == 0.0  # with the defaults
 
 
+def test_the_lifted_filter_of_a_motor():
+    table = {
+        "kind": "lifted_kalman",
+        "output_deviation": [0.01, 0.02],
+        "input_deviation": 0.1,
+        "prior": 0.5,
+    }
+    whole = tomllib.loads((FOLDER / "pmsm.toml").read_text("utf-8"))
+    found = configure(whole | {"observers": {"Lifted": table}}).experiment.observers
+    lifted = found["Lifted"]
+    np.testing.assert_allclose(lifted.output_deviation, [0.01, 0.02])
+    assert float(lifted.prior) == 0.5 and float(lifted.guard.threshold) == 0.9
+
+
 def test_signals_of_several_entries():
     found = read_configuration("robotic_leg")
     wanted = found.experiment.controller.reference(jnp.asarray(0.5))

@@ -49,6 +49,7 @@ STUDY = Study(
     start=lambda plant, table: jnp.array([table.position, table.speed], float),
     observers=offers.algebraic(_relations)
     | offers.integrator(_relations)
+    | offers.lifted(_relations)
     | {"luenberger": _luenberger, "kalman": _kalman},
     controls=("open_loop",),
     bound=True,

@@ -23,6 +23,7 @@ from ..observers import (
     FilteredDerivative,
     HighGain,
     Joined,
+    Lifted,
     OpenLoopIntegrator,
     SuperTwisting,
     Unwrapped,
@@ -96,6 +97,21 @@ def integrator(relations: Relations) -> dict[str, Build]:
             OpenLoopIntegrator, relations(plant)
         )
     }
+
+
+def lifted(relations: Relations) -> dict[str, Build]:
+    """The Kalman filter of the plant's relations."""
+
+    def build(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        del start
+        deviations = keys.output_deviation, keys.input_deviation
+        guard = Guard(keys.threshold)
+        return _joined(
+            lambda r: Lifted(r, *deviations, prior=keys.prior, guard=guard),
+            relations(plant),
+        )
+
+    return {"lifted_kalman": build}
 
 
 def mixing(relations: Relations) -> dict[str, Build]:

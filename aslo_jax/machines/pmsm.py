@@ -42,6 +42,7 @@ class PMSMDescription(motor.AbstractRoundMotor[PMSMTable]):
         plant=lambda table: motor.with_load(PMSM, table),
         observers=offers.algebraic(_relations)
         | offers.integrator(_relations)
+        | offers.lifted(_relations)
         | offers.mixing(_relations)
         | offers.of_round_motor(),
         controls=("field_oriented",),

@@ -124,6 +124,7 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
         plant=lambda table: motor.with_load(WRIM, table),
         observers=offers.algebraic(_relations)
         | offers.integrator(_relations)
+        | offers.lifted(_relations)
         | offers.mixing(_relations),
         controls=("open_loop",),
     )

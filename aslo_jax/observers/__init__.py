@@ -33,6 +33,7 @@ from .fo2 import FO2 as FO2
 from .fo3 import FO3 as FO3
 from .gated import Gated as Gated
 from .kalman import SteadyStateKalman as SteadyStateKalman
+from .lifted import Lifted as Lifted
 from .luenberger import ReducedLuenberger as ReducedLuenberger
 from .open_loop import OpenLoopIntegrator as OpenLoopIntegrator
 from .pll import PhaseLockedLoop as PhaseLockedLoop, wrap as wrap

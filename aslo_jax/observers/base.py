@@ -22,12 +22,15 @@ class Estimate(eqx.Module):
     - `certificate`: a dimensionless measure of observability, shape `()`, see
       [`AbstractCompletion`][]; 1 for an observer that has none;
     - `coasting`: whether `value` is carried along the known derivative because the state
-      is not observable now, or because the sample is missing, shape `()`.
+      is not observable now, or because the sample is missing, shape `()`;
+    - `covariance`: that of `value`, shape `(n, n)`, in products of its units, where the
+      observer knows it.
     """
 
     value: Float[Array, "*batch n"]
     certificate: Float[Array, "*batch"]
     coasting: Bool[Array, "*batch"]
+    covariance: Float[Array, "*batch n n"] | None = None
 
     def to_dataframe(
         self,

@@ -11,6 +11,9 @@ from pydantic import Field
 
 from ...schema import Positive, Table, key
 
+Deviation = Positive | Annotated[list[Positive], Field(min_length=1)]
+DEVIATION = "a positive finite number, or one for each entry of the signal"
+
 
 class AbstractObserverTable(Table, abc.ABC):
     """An observer."""
@@ -103,6 +106,30 @@ class KalmanTable(AbstractObserverTable):
     )
 
 
+class LiftedTable(AbstractObserverTable):
+    """The Kalman filter of the plant's relation."""
+
+    kind: Literal["lifted_kalman"] = key("the kind of observer")
+    output_deviation: Deviation = key(
+        "standard deviation of the noise on every sample of the output (its unit)",
+        allowed=DEVIATION,
+    )
+    input_deviation: Deviation = key(
+        "standard deviation of the noise on every sample of the input (its unit)",
+        allowed=DEVIATION,
+    )
+    prior: Positive | None = key(
+        "standard deviation of the first belief of every estimated state (its unit), by "
+        "default infinite",
+        default=None,
+    )
+    threshold: Annotated[float, Field(gt=0, lt=1)] = key(
+        "certificate below which it coasts",
+        default=0.9,
+        allowed="a number between 0 and 1",
+    )
+
+
 Gains = Positive | Annotated[list[Positive], Field(min_length=1)]
 GAINS = "a positive finite number, or one for each coordinate"
 
@@ -138,6 +165,7 @@ Observer = Annotated[
     | IntegratorTable
     | LuenbergerTable
     | KalmanTable
+    | LiftedTable
     | HighGainTable
     | SuperTwistingTable
     | DerivativeTable,

@@ -1,0 +1,286 @@
+"""The Kalman filter of a lifted relation, as a law that a state follows."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from .._factored import (
+    Rows,
+    array,
+    divided,
+    dot,
+    factored,
+    less,
+    measured,
+    orthogonalised,
+    packed,
+    plus,
+    product,
+    reciprocal,
+    stacked,
+    times,
+    transposed_times,
+)
+from ..filters import AbstractLaw
+from ..relations import AbstractTerms, Linear
+from ._lifted_belief import LiftedBelief, Lists, lists_of
+from ._lifted_flow import flow
+from ._lifting import (
+    Growth,
+    Motion,
+    Noise,
+    Relation,
+    added,
+    blurred,
+    entries,
+    growth_of,
+    has_moved,
+    measurement_of,
+    motion_of,
+    noise_of,
+    rows_of,
+    scaled,
+    squares,
+    trace,
+)
+
+
+class Stage(NamedTuple):
+    """What the filter did at one sample, for smoothing. First
+    `X = transition X + shift + noise + by_y n`, the noise with `covariance`, shapes
+    `(N, N)`, `(N,)`, `(N, N)` and `(N, p)`, n the noise of this y in its standard
+    deviations. Then, row by row, `values = rows X + own n + noise` of `variances`, shapes
+    `(k,)`, `(k, N)`, `(k, p)` and `(k,)`, and after each of them the mean moved by the
+    covariance times its `information`, shape `(k, N)`: the noise of the row has to do with
+    that of the value."""
+
+    transition: Float[Array, "N N"]
+    shift: Float[Array, " N"]
+    covariance: Float[Array, "N N"]
+    by_y: Float[Array, "N p"]
+    values: Float[Array, " k"]
+    rows: Float[Array, "k N"]
+    own: Float[Array, "k p"]
+    variances: Float[Array, " k"]
+    information: Float[Array, "k N"]
+
+
+class LiftedKalman(AbstractLaw):
+    """The belief, driven by `(u, y)`: sampled, a prediction over the interval with u held,
+    and an update by every row at the y at its end; in continuous time Riccati's equation,
+    for noise of these deviations on samples `interval` (s) apart."""
+
+    relation: Relation
+    output_deviation: PyTree[Float[Array, "..."]]
+    input_deviation: PyTree[Float[Array, "..."]]
+    prior: Float[Array, "*n"] | None
+    initial: Float[Array, " n"] | None
+    interval: Float[Array, ""] | None
+
+    def start(self, u: PyTree, y: PyTree) -> LiftedBelief:
+        """The first belief, with the first y."""
+        rows, noise = self.at(u, y)
+        n, dtype = rows[0].z.shape[0], rows[0].z.dtype
+        one = jnp.ones((), dtype)
+        x = [0.0 * one] * n if self.initial is None else entries(self.initial)
+        variance = [v * one for v in self.variance(n, dtype)]
+        P = [[variance[i] if i == j else 0 for j in range(n)] for i in range(n)]
+        sigmas = added(rows)
+        r = sum(k is not None for k in sigmas)
+        mean, U, d = [], [], []
+        # The first y of a row with a sigma says what sigma is.
+        for row, k, sensitivity in zip(rows, sigmas, noise.rows, strict=True):
+            if k is None:
+                continue
+            m = measurement_of(row, sensitivity, x)
+            mean.append(times(m.sign, less(m.value, dot(m.h, x))))
+            onward = [times(-m.sign, e) for e in m.h]
+            U.append([1 if i == k else 0 for i in range(r)] + onward)
+            d.append(plus(blurred(m, P), dot(m.J, m.J)))
+        lists = Lists(r, mean + x, U + _unit(n, r), d + variance, [0.0 * one] * r)
+        linear = tuple(k is None for k in sigmas)
+        still = [[0] * noise.rows[0].d.shape[0] for _ in range(r + n)]
+        lists, _ = _measured(lists, rows, noise, None, still, linear)
+        return _packed(lists, dtype)
+
+    def variance(self, n: int, dtype: Any) -> list[Any]:
+        """That of the first belief of each entry of x."""
+        if self.prior is None:
+            return [1.0 / float(jnp.finfo(dtype).eps)] * n
+        return entries(jnp.broadcast_to(self.prior**2, (n,)))
+
+    def discretise(self, h):
+        return h
+
+    def advance(self, X, v0, v1, coefficients):
+        return self.stage(X, v0, v1, coefficients)[0]
+
+    def stage(
+        self, X: LiftedBelief, v0: PyTree, v1: PyTree, h: Any
+    ) -> tuple[LiftedBelief, Stage]:
+        """[`LiftedKalman.advance`][], and what it did."""
+        (u, y0), (_, y1) = v0, v1
+        left = rows_of(self.relation, u, y0)
+        right, noise = self.at(u, y1)
+        dtype = right[0].z.dtype
+        h = jnp.asarray(h, dtype)
+        motion = motion_of(left[0], right[0], h)
+        lists = lists_of(X)
+        W = scaled(noise.z(), h * h)
+        grown = [
+            growth_of(a, b, s, W, motion, lists.x, h)
+            for a, b, s in zip(left, right, noise.rows, strict=True)
+            if not isinstance(b, Linear)
+        ]
+        lists, by_y, moved = _predicted(lists, grown, motion, noise)
+        every = (True,) * len(right)
+        lists, done = _measured(lists, right, noise, grown, by_y, every)
+        values, rows, own, variances, information = map(list, zip(*done, strict=True))
+        transition, shift, Q = moved
+        taken = Stage(
+            array(transition, dtype),
+            stacked(shift, dtype),
+            array(Q, dtype),
+            array(by_y, dtype),
+            stacked(values, dtype),
+            array(rows, dtype),
+            array(own, dtype),
+            stacked(variances, dtype),
+            array(information, dtype),
+        )
+        return _packed(lists, dtype), taken
+
+    def flow(self, X, v):
+        rows, noise = self.at(*v)
+        return flow(rows, noise, self.interval, X)
+
+    def at(self, u: PyTree, y: PyTree) -> tuple[tuple[AbstractTerms, ...], Noise]:
+        rows = rows_of(self.relation, u, y)
+        deviations = self.input_deviation, self.output_deviation
+        return rows, noise_of(self.relation, u, y, *deviations)
+
+
+def _packed(lists: Lists, dtype: Any) -> LiftedBelief:
+    factors = packed(lists.U, lists.d, dtype)
+    mean, unsteady = stacked(lists.mean, dtype), stacked(lists.unsteady, dtype)
+    return LiftedBelief(mean, factors, unsteady)
+
+
+def _unit(n: int, before: int = 0) -> Rows:
+    """The rows of the identity, after so many zeros."""
+    return [[0] * before + [1 if i == j else 0 for j in range(n)] for i in range(n)]
+
+
+def _predicted(
+    lists: Lists, grown: list[Growth], motion: Motion, noise: Noise
+) -> tuple[Lists, Rows, tuple[Rows, list[Any], Rows]]:
+    """The belief at the end of an interval; what noise of the y there has added to it; and
+    transition, shift and covariance without that."""
+    r, mean, U, d, unsteady = lists
+    n, before = len(mean) - r, lists.spread()
+    by_u, by_y = motion.integrated(noise.z_by_u), motion.integrated(noise.z_by_y)
+    columns, weights = factored(squares([a + b for a, b in zip(by_u, by_y, strict=True)]))
+
+    def spread(x: Rows) -> Rows:
+        """With what each sigma has of noises that add these columns to x."""
+        of = [[dot(g.column, list(c)) for c in zip(*x, strict=True)] for g in grown]
+        return of + x
+
+    moved = _unit(n) if motion.transition is None else motion.transition
+    one = _unit(r)
+    transition = [one[k] + g.a for k, g in enumerate(grown)]
+    transition += [[0] * r + row for row in moved]
+    # What the noise of a row does with what is not known of x: of each sigma its own.
+    own_blur = [trace(g.regressors, before) for g in grown]
+    own = [plus(b, dot(g.own, g.own)) for b, g in zip(own_blur, grown, strict=True)]
+    fresh = [e + (one[i] if i < r else [0] * r) for i, e in enumerate(spread(columns))]
+    wide = [a + b for a, b in zip(product(transition, U), fresh, strict=True)]
+    new, pivots = orthogonalised(wide, d + weights + own)
+    shift = [g.b for g in grown] + motion.shift
+    ahead = [plus(dot(t, mean), s) for t, s in zip(transition, shift, strict=True)]
+    added_by_y = spread(by_y)
+    for k, g in enumerate(grown):
+        added_by_y[k] = [plus(a, b) for a, b in zip(added_by_y[k], g.own, strict=True)]
+    Q = squares(spread(by_u))
+    for k, extra in enumerate(own_blur):
+        Q[k][k] = plus(Q[k][k], extra)
+    lists = Lists(r, ahead, new, pivots, [w + 1.0 for w in unsteady])
+    return lists, added_by_y, (transition, shift, Q)
+
+
+def _measured(
+    lists: Lists,
+    rows: tuple[AbstractTerms, ...],
+    noise: Noise,
+    grown: list[Growth] | None,
+    by_y: Rows,
+    taken: tuple[bool, ...],
+) -> tuple[Lists, list[tuple[Any, ...]]]:
+    """The belief with the rows that are `taken`; value, row, own, variance and information
+    of each, as in [`Stage`][]. The noise of y has also entered the state, by `by_y`."""
+    done = []
+    p = len(by_y[0])
+    known_n, spread_n = [0] * p, _unit(p)  # of the noise of y, mean and covariance
+    for index, (row, k, s) in enumerate(zip(rows, added(rows), noise.rows, strict=True)):
+        if not taken[index]:
+            continue
+        r, mean, U, d, unsteady = lists
+        P, x = lists.spread(), slice(lists.r, None)
+        m = measurement_of(row, s, lists.x)
+        blur, own = blurred(m, P), dot(m.J, [dot(e, m.J) for e in spread_n])
+        h = [m.sign if i == k else 0 for i in range(r)] + m.h
+        f = transposed_times(U, h)
+        gathered = None
+        if k is not None:
+            assert grown is not None
+            gathered = scaled(grown[k].regressors, unsteady[k])
+        moved = has_moved(m, d[x], f[x], P, gathered)
+        innovation = less(less(m.value, dot(h, mean)), dot(m.J, known_n))
+        value = plus(plus(innovation, dot(h, mean)), dot(m.J, known_n))
+        # The noise of the value is in part in the state, so that the state tells of it.
+        shared = divided(U, [dot(e, m.J) for e in by_y])
+        told = [times(e, reciprocal(q)) for e, q in zip(shared, d, strict=True)]
+        V = less(plus(blur, own), dot(shared, told))
+        f = [jnp.where(moved, plus(a, b), 0.0) for a, b in zip(f, told, strict=True)]
+        share = dot([times(a, b) for a, b in zip(d[:r], f[:r], strict=True)], f[:r])
+        U, d, gain, inverse = measured(U, d, f, V)
+        if index + 1 < len(rows):
+            # What the next row has to know of the noise of y.
+            q = [
+                plus(dot(h, [e[j] for e in by_y]), dot(spread_n[j], m.J)) for j in range(p)
+            ]
+            known_n = [
+                plus(a, times(b, times(inverse, innovation)))
+                for a, b in zip(known_n, q, strict=True)
+            ]
+            by_y = [
+                [less(e, times(g, b)) for e, b in zip(row_y, q, strict=True)]
+                for row_y, g in zip(by_y, gain, strict=True)
+            ]
+            spread_n = [
+                [less(e, times(times(a, b), inverse)) for e, b in zip(line, q, strict=True)]
+                for line, a in zip(spread_n, q, strict=True)
+            ]
+        mean = [plus(a, times(b, innovation)) for a, b in zip(mean, gain, strict=True)]
+        information: list[Any] = [0] * len(mean)
+        if m.common is not None:
+            # The gain has the noise of h, and so a mean product with that of the value.
+            weight = jnp.where(moved, -1.0 / plus(own, blur), 0.0)
+            information[x] = [times(weight, e) for e in m.common]
+            by = [
+                times(a, b)
+                for a, b in zip(d, transposed_times(U, information), strict=True)
+            ]
+            mean = [plus(a, dot(e, by)) for a, e in zip(mean, U, strict=True)]
+            known_n = [
+                plus(a, dot([e[j] for e in by_y], information))
+                for j, a in enumerate(known_n)
+            ]
+        done.append((value, h, m.J, blur, information))
+        if k is not None:
+            kept = jnp.where(moved, 1.0 - share * inverse, 1.0)
+            unsteady = [*unsteady]
+            unsteady[k] = unsteady[k] * kept * kept
+        lists = Lists(r, mean, U, d, unsteady)
+    return lists, done

@@ -1,0 +1,316 @@
+"""A relation as a linear time-varying system, with its noise: the model of [`Lifted`][].
+
+Every row of a relation but a linear one has a state of its own, sigma, before those of x:
+
+- rate, `c'x = d + s'`: `sigma = s`, `sigma' = c'x - d`, measured: `s = sigma`;
+- quadratic, `1/2 x'Q x = c'x + d`: `sigma = 1/2 x'Q x`, `sigma' = (Q z)'x`, measured:
+  `-d = c'x - sigma`;
+- linear, `c'x = d`: none, measured: `d = c'x`.
+
+Source: theory, section 10.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, PyTree
+
+from .._factored import Rows, dot, less, plus, product, times
+from .._signals import check_signals
+from ..relations import AbstractTerms, Linear, Quadratic, Rate
+
+Relation = Callable[[PyTree, PyTree], AbstractTerms | tuple[AbstractTerms, ...]]
+
+
+def rows_of(relation: Relation, u: PyTree, y: PyTree) -> tuple[AbstractTerms, ...]:
+    """The terms of every row of a relation at `u` and `y`, checked."""
+    check_signals(relation, type(relation).__call__, u, y)
+    found = relation(u, y)
+    rows = tuple(found) if isinstance(found, tuple | list) else (found,)
+    for row in rows:
+        if not isinstance(row, Linear | Rate | Quadratic):
+            raise ValueError(
+                "Argument `relation` must return terms `Linear`, `Rate` or `Quadratic`, or "
+                f"a tuple of them, but got a {type(row).__name__}."
+            )
+        row.check(relation)
+    return rows
+
+
+def added(rows: tuple[AbstractTerms, ...]) -> list[int | None]:
+    """The index of sigma of each row, where it has one."""
+    found: list[int | None] = []
+    for row in rows:
+        count = sum(k is not None for k in found)
+        found.append(None if isinstance(row, Linear) else count)
+    return found
+
+
+def entries(x: Array) -> list[Any]:
+    """The entries of a vector."""
+    return [x[i] for i in range(x.shape[0])]
+
+
+def matrix(X: Array) -> Rows:
+    """The rows of a matrix."""
+    return [entries(X[i]) for i in range(X.shape[0])]
+
+
+class Sensitivity(NamedTuple):
+    """How the noise of y enters one row: the changes of c, shape `(n, p)`, and of d and s,
+    shape `(p,)`, by one standard deviation of each entry of y."""
+
+    c: Float[Array, "n p"]
+    d: Float[Array, " p"]
+    s: Float[Array, " p"]
+
+    def regressors(self) -> Rows:
+        """The covariance of the noise of c."""
+        C = matrix(self.c)
+        return [[dot(a, b) for b in C] for a in C]
+
+
+class Noise(NamedTuple):
+    """How one standard deviation of the noise of each entry of u and y changes z, shapes
+    `(n, m)` and `(n, p)`, and each row."""
+
+    z_by_u: Rows
+    z_by_y: Rows
+    rows: tuple[Sensitivity, ...]
+
+    def z(self) -> Rows:
+        """The covariance of the noise of z in one sample."""
+        both = [a + b for a, b in zip(self.z_by_u, self.z_by_y, strict=True)]
+        return [[dot(p, q) for q in both] for p in both]
+
+
+def noise_of(
+    relation: Relation, u: PyTree, y: PyTree, input_deviation: Any, output_deviation: Any
+) -> Noise:
+    """How white noise of u and y, of these standard deviations, enters the terms: by their
+    derivatives."""
+    (v, to_u), (w, to_y) = ravel_pytree(u), ravel_pytree(y)
+
+    def terms(v, w):
+        rows = rows_of(relation, to_u(v), to_y(w))
+        zero = jnp.zeros_like(rows[0].z[0])
+        or_zero = lambda x: zero if x is None else x
+        each = [
+            (row.c, or_zero(row.d), or_zero(getattr(row, "s", None)))  # pyright: ignore[reportAttributeAccessIssue]
+            for row in rows
+        ]
+        return rows[0].z, each
+
+    by_u = jax.jacfwd(lambda v: terms(v, w)[0])(v)
+    by_y, each = jax.jacfwd(lambda w: terms(v, w))(w)
+    su, sy = spread(input_deviation, u, "input"), spread(output_deviation, y, "output")
+    rows = tuple(Sensitivity(c * sy, d * sy, s * sy) for c, d, s in each)
+    return Noise(matrix(by_u * su), matrix(by_y * sy), rows)
+
+
+def spread(deviation: PyTree, like: PyTree, name: str) -> Float[Array, " p"]:
+    """A deviation for each entry of a signal, from one like it, or one number for all."""
+    structure = jax.tree.structure(like)
+    if jax.tree.structure(deviation) != structure:
+        leaves = jax.tree.leaves(deviation)
+        if len(leaves) != 1 or jnp.ndim(leaves[0]):
+            raise ValueError(
+                f"Argument `{name}_deviation` must be a number, or have the structure of "
+                f"the signal, {structure}, but has {jax.tree.structure(deviation)}."
+            )
+        deviation = jax.tree.map(lambda _: leaves[0], like)
+
+    def whole(d, x):
+        if jnp.ndim(d) and jnp.shape(d) != jnp.shape(x):
+            raise ValueError(
+                f"Argument `{name}_deviation` must be a number or have the shape "
+                f"{jnp.shape(x)} of the signal, but got {jnp.shape(d)}."
+            )
+        return jnp.broadcast_to(d, jnp.shape(x)).astype(jnp.result_type(x))
+
+    return ravel_pytree(jax.tree.map(whole, deviation, like))[0]
+
+
+class Motion(NamedTuple):
+    """`x -> transition x + shift` over an interval, `weight` the shift by a z that is held;
+    no transition is the identity, and the weight is then a number times it."""
+
+    transition: Rows | None
+    shift: list[Any]
+    weight: Any
+
+    def of(self, x: list[Any]) -> list[Any]:
+        """x at the end."""
+        moved = x if self.transition is None else [dot(r, x) for r in self.transition]
+        return [plus(a, b) for a, b in zip(moved, self.shift, strict=True)]
+
+    def integrated(self, by: Rows) -> Rows:
+        """What noise of z adds to x: its measured value less the true one moves the
+        estimate, not x."""
+        if isinstance(self.weight, list):
+            return scaled(product(self.weight, by), -1.0)
+        return scaled(by, -self.weight)
+
+
+def motion_of(left: AbstractTerms, right: AbstractTerms, h: Any) -> Motion:
+    """How x moves in `h` seconds between the terms at both ends: `z` on a straight line;
+    with A, which is taken as its mean, to the fourth order in h."""
+    z0, z1 = left.z, right.z
+    if left.A is None:
+        return Motion(None, entries(0.5 * h * (z0 + z1)), h)
+    assert right.A is not None
+    one = jnp.eye(z0.shape[0], dtype=z0.dtype)
+    Z = 0.5 * h * (left.A + right.A)
+    # phi2 = 1/2 + Z/6 + Z^2/24 + ..., from which exp Z and its integral follow.
+    phi2 = one / 2 + Z @ (one / 6 + Z @ (one / 24))
+    phi1 = one + Z @ phi2
+    shift = h * (phi1 @ z0 + phi2 @ (z1 - z0))
+    return Motion(matrix(one + Z @ phi1), entries(shift), matrix(h * phi1))
+
+
+class Growth(NamedTuple):
+    """`sigma -> sigma + a'x + b` over an interval. Noise that adds v to x adds `column'v`,
+    and that of y `own` for each of its entries; `regressors` is the covariance of the noise
+    of a."""
+
+    a: list[Any]
+    b: Any
+    column: list[Any]
+    own: list[Any]
+    regressors: Rows
+
+
+class Measurement(NamedTuple):
+    """A scalar measurement: `value = h'x + sign sigma + J'n`, n the noise of the entries of
+    y in their standard deviations; `regressors`, the covariance of the noise of h, and
+    `common`, of it with `J'n`."""
+
+    value: Any
+    h: list[Any]
+    sign: int
+    J: list[Any]
+    regressors: Rows | None
+    common: list[Any] | None
+
+
+def measurement_of(row: AbstractTerms, noise: Sensitivity, x: list[Any]) -> Measurement:
+    """The measurement of a row; J at the estimate `x`."""
+    if isinstance(row, Rate):
+        return Measurement(row.s, [0] * len(x), 1, entries(noise.s), None, None)
+    assert isinstance(row, Linear | Quadratic)
+    C, d = matrix(noise.c), entries(noise.d)
+    slopes = [dot([C[i][j] for i in range(len(x))], x) for j in range(len(d))]
+    sign = 1.0 if isinstance(row, Linear) else -1.0
+    J = [less(times(sign, e), slope) for slope, e in zip(slopes, d, strict=True)]
+    common = [dot(c, J) for c in C]
+    if isinstance(row, Linear):
+        return Measurement(row.d, entries(row.c), 0, J, noise.regressors(), common)
+    return Measurement(-row.d, entries(row.c), -1, J, noise.regressors(), common)
+
+
+def growth_of(
+    left: AbstractTerms,
+    right: AbstractTerms,
+    noise: Sensitivity,
+    covariance: Rows,
+    motion: Motion,
+    x: list[Any],
+    h: Any,
+) -> Growth:
+    """How sigma of a row grows in `h` seconds from the estimate `x`, `covariance` being
+    that of the noise of x in that time."""
+    n = len(x)
+    moved = motion.of(x)
+    if isinstance(right, Quadratic):
+        Q = quadratic(right, n)
+        a = [dot(row, motion.shift) for row in Q]
+        QW = product(Q, covariance)
+        b = 0.5 * plus(dot(a, motion.shift), sum(QW[i][i] for i in range(n)))
+        own: list[Any] = [0] * noise.d.shape[0]
+        return Growth(a, b, [dot(row, moved) for row in Q], own, product(QW, Q))
+    assert isinstance(left, Rate) and isinstance(right, Rate)
+    c0, c1 = entries(left.c), entries(right.c)
+    half, twelfth = 0.5 * h, h * h / 12.0
+    # The trapezoidal rule with its correction by the slopes of c'x at both ends.
+    rate = [less(p, q) for p, q in zip(c1, c0, strict=True)]  # of c, times h
+    end0, end1 = list(rate), list(rate)
+    if left.A is not None and right.A is not None:
+        A0, A1 = matrix(left.A), matrix(right.A)
+        end0 = [
+            plus(r, times(h, dot(c0, [A0[i][j] for i in range(n)])))
+            for j, r in enumerate(rate)
+        ]
+        end1 = [
+            plus(r, times(h, dot(c1, [A1[i][j] for i in range(n)])))
+            for j, r in enumerate(rate)
+        ]
+    last = [less(times(half, q), times(h / 12.0, e)) for q, e in zip(c1, end1, strict=True)]
+    first = [
+        plus(times(half, q), times(h / 12.0, e)) for q, e in zip(c0, end0, strict=True)
+    ]
+    moved_last = last
+    if motion.transition is not None:
+        moved_last = [
+            dot(last, [motion.transition[i][j] for i in range(n)]) for j in range(n)
+        ]
+    a = [plus(p, q) for p, q in zip(first, moved_last, strict=True)]
+    z0, z1 = entries(left.z), entries(right.z)
+    b = plus(dot(last, motion.shift), times(twelfth, less(dot(c0, z0), dot(c1, z1))))
+    if left.d is not None and right.d is not None:
+        b = b - half * (left.d + right.d)
+    C, d = matrix(noise.c), entries(noise.d)
+    slopes = [less(d[j], dot([C[i][j] for i in range(n)], moved)) for j in range(len(d))]
+    own = [times(h, e) for e in slopes]
+    N = scaled(noise.regressors(), h * h)
+    return Growth(a, b, [times(half, q) for q in c1], own, N)
+
+
+def quadratic(row: Quadratic, n: int) -> Rows:
+    """Q, as rows."""
+    if row.Q.ndim:
+        return matrix(row.Q)
+    return [[row.Q if i == j else 0 for j in range(n)] for i in range(n)]
+
+
+def scaled(rows: Rows, factor: Any) -> Rows:
+    return [[times(factor, e) for e in row] for row in rows]
+
+
+def trace(A: Rows, P: Rows) -> Any:
+    """That of `A P`, both symmetric."""
+    total: Any = 0
+    for i in range(len(P)):
+        for j in range(i, len(P)):
+            entry = times(A[i][j], P[i][j])
+            total = plus(total, entry if i == j else times(2.0, entry))
+    return total
+
+
+def blurred(m: Measurement, P: Rows) -> Any:
+    """The variance that the noise of a row has by what is not known of x; `J'n` is what it
+    has by the estimate."""
+    return 0 if m.regressors is None else trace(m.regressors, P)
+
+
+def squares(A: Rows) -> Rows:
+    """`A A'`."""
+    return [[dot(p, q) for q in A] for p in A]
+
+
+# A row tells of x only where it has moved by this many times its variance: what noise of
+# the sensors does to it in a second at rest is no motion.
+SIGNIFICANT = 64.0
+
+
+def has_moved(
+    m: Measurement, d: list[Any], f: list[Any], P: Rows, gathered: Rows | None
+) -> Any:
+    """Whether the row of a measurement has moved by more than noise would have it."""
+    noise: Any = 0 if m.regressors is None else trace(m.regressors, P)
+    if gathered is not None:
+        noise = plus(noise, trace(gathered, P))
+    signal = dot([times(a, b) for a, b in zip(d, f, strict=True)], f)
+    return signal > SIGNIFICANT * noise
