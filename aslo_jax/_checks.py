@@ -1,13 +1,16 @@
 """Checks of arguments at construction: concrete values are refused, tracers pass."""
 
 import operator
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, get_args
 
 import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+
+from . import _choices
 
 
 def real(x: Any) -> Array:
@@ -65,6 +68,15 @@ def whole(name: str, x: int) -> None:
         raise ValueError(f"Argument `{name}` must be at least 1, but got {x}.")
 
 
+def one_of(name: str, x: Any, choices: Any) -> None:
+    """Refuse an `x` that is none of the `choices`, a `Literal` of strings or a sequence."""
+    allowed: Sequence[str] = get_args(choices) or tuple(choices)
+    if not isinstance(x, str) or x not in allowed:
+        *others, last = (f'"{each}"' for each in allowed)
+        words = f"{', '.join(others)} or {last}" if others else last
+        raise ValueError(f"Argument `{name}` must be {words}, but got {x!r}.")
+
+
 def counted(name: str, x: Any) -> int:
     """A whole number, as `int`; anything else is refused, `True` too."""
     try:
@@ -89,10 +101,9 @@ def stable(name: str, A: Float[Array, "k k"]) -> None:
         )
 
 
-def known_start(start: str) -> None:
+def known_start(start: Any) -> None:
     """Refuse a start that is neither the exact nor the paper's."""
-    if start not in ("exact", "paper"):
-        raise ValueError(f'Argument `start` must be "exact" or "paper", but got {start!r}.')
+    one_of("start", start, _choices.FilterStart)
 
 
 def nonnegative(name: str, x: Array | np.ndarray | float) -> None:

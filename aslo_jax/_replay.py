@@ -2,34 +2,81 @@
 
 import importlib.util
 import warnings
-from typing import Any
+from typing import Any, Literal, overload
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, PyTree
+from jaxtyping import Array, ArrayLike
 
-from ._checks import is_concrete, real
+from . import _choices
+from ._checks import is_concrete, one_of, real
+from ._typing import Engine, PyTree
 from .observers import AbstractObserver, ObserverState
+from .observers.base import Est
 
-ENGINES = ("auto", "fused", "scan")
 PIECE = 1 << 20  # instants looked at at once
 Checked = tuple[Any, PyTree, PyTree, Any]  # the first instant (s), u, y, and intervals (s)
 
 
+@overload
 def replay(
-    observer: AbstractObserver,
+    observer: AbstractObserver[Est],
     t: ArrayLike,
-    u: PyTree[ArrayLike],
-    y: PyTree[ArrayLike],
+    u: PyTree,
+    y: PyTree,
+    *,
+    substeps: int = 1,
+    state: ObserverState | None = None,
+    return_state: Literal[False] = False,
+    max_gap: float | None = None,
+    engine: Engine = "scan",
+) -> Est: ...
+
+
+@overload
+def replay(
+    observer: AbstractObserver[Est],
+    t: ArrayLike,
+    u: PyTree,
+    y: PyTree,
+    *,
+    substeps: int = 1,
+    state: ObserverState | None = None,
+    return_state: Literal[True],
+    max_gap: float | None = None,
+    engine: Engine = "scan",
+) -> tuple[Est, ObserverState]: ...
+
+
+@overload
+def replay(
+    observer: AbstractObserver[Est],
+    t: ArrayLike,
+    u: PyTree,
+    y: PyTree,
+    *,
+    substeps: int = 1,
+    state: ObserverState | None = None,
+    return_state: bool,
+    max_gap: float | None = None,
+    engine: Engine = "scan",
+) -> Est | tuple[Est, ObserverState]: ...
+
+
+def replay(
+    observer: AbstractObserver[Est],
+    t: ArrayLike,
+    u: PyTree,
+    y: PyTree,
     *,
     substeps: int = 1,
     state: ObserverState | None = None,
     return_state: bool = False,
     max_gap: float | None = None,
-    engine: str = "scan",
-) -> Any:
+    engine: Engine = "scan",
+) -> Est | tuple[Est, ObserverState]:
     """Run an observer over a log: arrays in, arrays out.
 
     `y[k]` is sampled at `t[k]` (s) and `u[k]` is held on `[t[k], t[k+1])`, so the last u
@@ -64,10 +111,7 @@ def replay(
     shapes that differ, a sample that is not finite, time that does not increase, or a gap
     above `max_gap`; [`NotFusible`][] for an observer that the fused engine cannot compile.
     """
-    if engine not in ENGINES:
-        raise ValueError(
-            f'Argument `engine` must be "auto", "fused" or "scan", but got {engine!r}.'
-        )
+    one_of("engine", engine, _choices.Engine)
     u, y = _signal("u", u), _signal("y", y)
     # Concrete instants keep the precision they came with until intervals are taken: JAX's
     # single precision resolves 1 ms after 10,000 s.
@@ -87,13 +131,13 @@ def replay(
 
 
 def run_log(
-    observer: AbstractObserver,
+    observer: AbstractObserver[Est],
     log: Checked,
     common: Any,
     substeps: int,
     state: ObserverState | None,
-    engine: str,
-) -> tuple[Any, ObserverState]:
+    engine: Engine,
+) -> tuple[Est, ObserverState]:
     """[`replay`][] of a `log` that has been checked: its first instant, u, y, and its
     intervals (s) where they have no length in `common`."""
     if engine == "auto" and not _may_fuse((observer, log, common, state)):
@@ -119,12 +163,12 @@ def _may_fuse(arguments: PyTree) -> bool:
 
 @eqx.filter_jit
 def _run(
-    observer: AbstractObserver,
+    observer: AbstractObserver[Est],
     log: Checked,
     common: Array | None,
     substeps: int,
     state: ObserverState | None,
-) -> tuple[Any, ObserverState]:
+) -> tuple[Est, ObserverState]:
     t0, u, y, intervals = log
     u0, y0 = jax.tree.map(lambda s: s[0], (u, y))
     if state is None:
@@ -145,12 +189,12 @@ def _run(
 
 
 def _run_fused(
-    observer: AbstractObserver,
+    observer: AbstractObserver[Est],
     log: Checked,
     common: Any,
     substeps: int,
     state: ObserverState | None,
-) -> tuple[Any, ObserverState]:
+) -> tuple[Est, ObserverState]:
     from .engines.fused.replay import replay_fused  # which needs an extra
 
     t0, u, y, intervals = log

@@ -1,26 +1,27 @@
 """Continuous co-simulation: plant, controller, observers and disturbances in one solve."""
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Generic
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from ._checks import is_concrete, kind
 from ._jumps import Span, between_jumps, span
+from ._typing import PyTree
 from .control import AbstractController
 from .control.base import controlled
 from .disturbances import AbstractDisturbance, DisturbanceState, check_streams
-from .observers import AbstractObserver, ObserverState
-from .observers.base import check_observers
+from .observers import AbstractObserver, Estimate, ObserverState
+from .observers.base import Est, check_observers
 from .plants import AbstractPlant
 
 
-class Simulation(eqx.Module):
+class Simulation(eqx.Module, Generic[Est]):
     """What [`simulate`][] returns; every leaf has a leading axis of the `N` instants `t`.
 
     - `t` (s); `u`, the input that the observers saw; `y`, the measurement they saw;
@@ -34,10 +35,10 @@ class Simulation(eqx.Module):
     y: PyTree
     x: PyTree
     hidden: Float[Array, "*N n"]
-    estimates: dict[str, Any]
+    estimates: dict[str, Est]
     states: dict[str, Any]
 
-    def error(self, name: str) -> Float[Array, "*N n"]:
+    def error(self: "Simulation[Estimate]", name: str) -> Float[Array, "*N n"]:
         """Estimate less truth of observer `name`, in the units of the state."""
         return self.estimates[name].value - self.hidden
 
@@ -47,7 +48,7 @@ class _Loop(eqx.Module):
 
     plant: AbstractPlant
     controller: AbstractController
-    observers: dict[str, AbstractObserver]
+    observers: dict[str, AbstractObserver[Any]]
     actuator: AbstractDisturbance | None
     sensor: AbstractDisturbance | None
     input_sensor: AbstractDisturbance | None
@@ -117,7 +118,7 @@ class _Loop(eqx.Module):
             ),
         }
 
-    def record(self, t, state, args) -> Simulation:
+    def record(self, t, state, args) -> Simulation[Any]:
         del args
         _, y, _, _, _, seen = self.signals(t, state)
         estimates = {
@@ -158,7 +159,7 @@ def _rate(part, t, state, signal, output):
 def simulate(
     plant: AbstractPlant,
     controller: AbstractController | Callable[[Float[Array, ""]], PyTree],
-    observers: Mapping[str, AbstractObserver],
+    observers: Mapping[str, AbstractObserver[Est]],
     *,
     t1: float,
     t0: float = 0.0,
@@ -173,7 +174,7 @@ def simulate(
     dt0: float | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     max_steps: int = 100_000,
-) -> Simulation:
+) -> Simulation[Est]:
     """Integrate a plant, its controller, and observers beside each other, with diffrax.
 
     **Arguments:**

@@ -1,24 +1,25 @@
 """The sampled closed loop: hold, integrate, measure, observe, control."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Generic
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, Int
 
 from ._checks import divides, kind, positive, real
 from ._runge_kutta import runge_kutta
+from ._typing import PyTree
 from .control import AbstractController
 from .control.base import controlled
 from .disturbances import AbstractDisturbance, DisturbanceState, check_streams
 from .observers import AbstractObserver, ObserverState
-from .observers.base import check_observers
+from .observers.base import Est, check_observers, named
 from .plants import AbstractPlant
 
 
-class Record(eqx.Module):
+class Record(eqx.Module, Generic[Est]):
     """What an experiment records at `t` (s): the plant's state `x` and its `hidden` part,
     the measurement `y` and the input `u` that the observers are given (held from `t` on),
     and the `estimates` by observer name."""
@@ -28,7 +29,7 @@ class Record(eqx.Module):
     hidden: Float[Array, "*N n"]
     y: PyTree
     u: PyTree
-    estimates: dict[str, Any]
+    estimates: dict[str, Est]
 
 
 class Carry(eqx.Module):
@@ -44,7 +45,7 @@ class Carry(eqx.Module):
     input_sensor: DisturbanceState | None
 
 
-class Experiment(eqx.Module):
+class Experiment(eqx.Module, Generic[Est]):
     """A plant under a sampled controller with observers beside it.
 
     - `controller`: a controller, or a function of time (s) for an open loop;
@@ -63,7 +64,7 @@ class Experiment(eqx.Module):
 
     plant: AbstractPlant
     controller: AbstractController = eqx.field(converter=controlled)
-    observers: dict[str, AbstractObserver] = eqx.field(converter=dict)
+    observers: dict[str, AbstractObserver[Est]] = eqx.field(converter=named)
     interval: Float[Array, ""] = eqx.field(converter=real)
     feedback: Callable[[PyTree, PyTree, dict[str, Any]], PyTree] | None = None
     actuator: AbstractDisturbance | None = None
@@ -82,7 +83,7 @@ class Experiment(eqx.Module):
             )
         check_streams((self.actuator, self.sensor, self.input_sensor))
 
-    def init(self) -> tuple[Carry, Record]:
+    def init(self) -> tuple[Carry, Record[Est]]:
         """The carry and the record at the first sample, t = 0."""
         x = self.plant.initial() if self.initial is None else self.initial
         x = jax.tree.map(jnp.asarray, x)
@@ -118,7 +119,7 @@ class Experiment(eqx.Module):
 
     def advance(
         self, k: Int[Array, ""], carry: Carry, prepared: dict[str, PyTree]
-    ) -> tuple[Carry, Record]:
+    ) -> tuple[Carry, Record[Est]]:
         """From sample k to sample k + 1, and what is recorded there."""
         x, actuator = self._integrate(k * self.interval, carry)
         t = (k + 1) * self.interval
@@ -138,7 +139,7 @@ class Experiment(eqx.Module):
         disturbances = actuator, sensor, input_sensor
         return Carry(x, state, observers, command, seen, *disturbances), record
 
-    def run(self, steps: int, every: int = 1) -> Record:
+    def run(self, steps: int, every: int = 1) -> Record[Est]:
         """Run `steps` intervals and record every `every`-th sample, the first included:
         leaves with a leading axis of length `steps // every + 1`."""
         divides(every, steps)
@@ -222,7 +223,7 @@ def _through(
 
 
 @eqx.filter_jit
-def _run(experiment: Experiment, steps: int, every: int) -> Record:
+def _run(experiment: Experiment[Est], steps: int, every: int) -> Record[Est]:
     carry, first = experiment.init()
     prepared = experiment.prepare(carry)
 

@@ -14,10 +14,11 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from ._checks import kind, optional_real, positive, real, stable
 from ._small import exponential_integrals
+from ._typing import PyTree
 
 
 class AbstractLaw(eqx.Module):

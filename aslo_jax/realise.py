@@ -11,8 +11,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
+from ._typing import FilterStart, PyTree
 from .filters import AbstractFilter, AbstractLaw, Integrator
 
 States = dict[str, Any]
@@ -173,12 +174,12 @@ class Pass:
         self,
         realisation: AbstractRealisation,
         filter: AbstractFilter | None = None,
-        start: str = "exact",
+        start: FilterStart = "exact",
         scope: str = "",
     ):
         self._realisation = realisation
         self._filter = filter
-        self._start = start
+        self._start: FilterStart = start
         self._scope = scope
 
     @property
@@ -192,7 +193,7 @@ class Pass:
         """Whether the start is exact."""
         return self._start == "exact"
 
-    def using(self, filter: AbstractFilter, start: str | None = None) -> "Pass":
+    def using(self, filter: AbstractFilter, start: FilterStart | None = None) -> "Pass":
         """The same pass with `filter` bound to it."""
         mode = self._start if start is None else start
         return Pass(self._realisation, filter, mode, self._scope)

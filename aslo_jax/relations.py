@@ -12,9 +12,10 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from ._signals import check_signals
+from ._typing import PyTree
 from .realise import Pass
 
 

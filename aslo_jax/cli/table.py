@@ -9,10 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from .._replay import common_interval, run_log
+from .._typing import Engine
 from ..logs import Log
 from ..machines import AbstractDescription
 from ..machines.base import Columns, Rates
-from ..observers import AbstractObserver, PhaseLockedLoop
+from ..observers import AbstractObserver, ObserverState, PhaseLockedLoop
 
 PIECE = 50_000  # rows replayed at once
 
@@ -42,12 +43,13 @@ class Replayed:
     """
 
     def __init__(
-        self, observer: AbstractObserver, interval: float | None, substeps: int = 1
+        self, observer: AbstractObserver[Any], interval: float | None, substeps: int = 1
     ):
         self.observer, self.substeps = observer, substeps
         self.interval = None if interval is None else np.asarray(interval)
         self.slow = ""
-        self._engine, self._state = "auto", None
+        self._engine: Engine = "auto"
+        self._state: ObserverState | None = None
 
     def __call__(
         self,

@@ -5,9 +5,10 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import unlike
+from .._typing import PyTree
 from ..plants import AbstractPlant
 
 

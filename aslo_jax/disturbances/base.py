@@ -4,7 +4,9 @@ import abc
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
+
+from .._typing import PyTree
 
 
 class DisturbanceState(eqx.Module):

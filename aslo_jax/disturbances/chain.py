@@ -5,8 +5,8 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import PyTree
 
+from .._typing import PyTree
 from .base import AbstractDisturbance, DisturbanceState
 
 

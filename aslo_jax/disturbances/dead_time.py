@@ -5,9 +5,10 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import nonnegative, positive, real
+from .._typing import PyTree
 from .base import AbstractMemoryless
 
 SQRT3 = math.sqrt(3.0)

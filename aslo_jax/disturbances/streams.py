@@ -4,10 +4,10 @@ from itertools import combinations
 
 import jax
 import numpy as np
-from jaxtyping import PyTree
 
 from .. import random
 from .._checks import is_concrete
+from .._typing import PyTree
 from .base import AbstractDisturbance
 
 

@@ -7,9 +7,10 @@ from typing import Any, SupportsIndex
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import PyTree
 
-from .._checks import counted, divides, whole
+from .. import _choices
+from .._checks import counted, divides, one_of, whole
+from .._typing import Engine, PyTree, RunningEngine
 from ..experiment import Experiment, Record
 from ..metrics import AbstractMetric
 from .fused.batch import Fused
@@ -41,7 +42,7 @@ class Runner:
     than `like`, or whole numbers that its types do not hold.
     """
 
-    engine: str
+    engine: RunningEngine
     shapes: Batch
 
     def __init__(
@@ -53,7 +54,7 @@ class Runner:
         metrics: Mapping[str, AbstractMetric] | None = None,
         record: Callable[[Record], PyTree] | None = None,
         every: SupportsIndex | None = None,
-        engine: str = "auto",
+        engine: Engine = "auto",
         threads: SupportsIndex | None = None,
         block: SupportsIndex | None = None,
     ):
@@ -66,10 +67,7 @@ class Runner:
         if block is not None:
             block = counted("block", block)
             whole("block", block)
-        if engine not in ("auto", "fused", "scan"):
-            raise ValueError(
-                f'Argument `engine` must be "auto", "fused" or "scan", but got {engine!r}.'
-            )
+        one_of("engine", engine, _choices.Engine)
         self.steps, self.every, self.block = steps, every, block
         self._plan = Plan(make, dict(metrics or {}), record)
         self._like = like = jax.tree.map(shape_of, like)
@@ -153,7 +151,7 @@ def run_batch(
     metrics: Mapping[str, AbstractMetric] | None = None,
     record: Callable[[Record], PyTree] | None = None,
     every: SupportsIndex | None = None,
-    engine: str = "auto",
+    engine: Engine = "auto",
     threads: SupportsIndex | None = None,
 ) -> Batch:
     """Run `make(sample)` for `steps` samples in time, for every sample of a batch. For many

@@ -5,9 +5,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
 
 from .._checks import is_concrete
+from .._typing import PyTree
 
 # Each may stand for those before it.
 KINDS = (jnp.bool_, jnp.integer, jnp.floating, jnp.complexfloating)

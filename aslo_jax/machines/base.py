@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Generic, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._choices import CompletionName, FilterStart
 from .._extras import missing
 from ..completions import LeastSquares, Repeat
 from ..filters import LowPass
@@ -144,7 +145,7 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         that does not suit the log."""
 
     @abc.abstractmethod
-    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver:
+    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         """The observer, with the rates that [`AbstractDescription.rates`][] chooses. Its
         input and output are u and y of a log with `signals`."""
 
@@ -234,8 +235,8 @@ def algebraic(
     cutoff: float,
     *,
     threshold: float,
-    completion: str = "least-squares",
-    start: str = "exact",
+    completion: CompletionName = "least-squares",
+    start: FilterStart = "exact",
     gain: Rate | None = None,
 ) -> AbstractObserver:
     """The ASLO with a filter of `cutoff` (rad/s), or with a `gain` (rad/s) the A-ASLO."""

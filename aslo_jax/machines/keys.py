@@ -1,11 +1,12 @@
 """The keys of `[observer]` that kinds share."""
 
-from typing import Any, Literal
+from typing import Any
 
+from .._choices import CompletionName, FilterStart
 from .base import key
 
-Completion = Literal["least-squares", "repeat"]
-Start = Literal["exact", "paper"]
+Completion = CompletionName
+Start = FilterStart
 
 
 def cutoff(default: str = "from the log", example: float = 150.0) -> Any:

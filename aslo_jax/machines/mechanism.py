@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Sequence
-from typing import Annotated, ClassVar, Generic, Literal, TypeVar
+from typing import Annotated, ClassVar, Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -47,7 +47,7 @@ class VelocityObserverTable(Table):
     encoders of 12 bits."""
 
     cutoff: Positive | None = keys.cutoff(example=30.0)
-    completion: Literal["least-squares", "repeat"] = key(
+    completion: keys.Completion = key(
         "how the row is solved",
         default="least-squares",
     )

@@ -4,9 +4,10 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import kind, known_start, optional_real
+from .._typing import FilterStart, PyTree
 from ..completions import AbstractCompletion, LeastSquares
 from ..filters import AbstractFilter, check_filter
 from ..guard import Guard
@@ -37,7 +38,7 @@ class AlgebraicObserver(AbstractObserver):
     # Built when used: an array made on import has the precision of that moment.
     completion: AbstractCompletion = eqx.field(default_factory=LeastSquares)
     guard: Guard | None = eqx.field(default_factory=Guard)
-    start: str = eqx.field(static=True, default="exact")
+    start: FilterStart = eqx.field(static=True, default="exact")
     initial: Float[Array, " n"] | None = eqx.field(converter=optional_real, default=None)
 
     def __check_init__(self):

@@ -2,10 +2,11 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import known_start, optional_real, real
 from .._small import safe_reciprocal
+from .._typing import FilterStart, PyTree
 from ..completions import AbstractCompletion, LeastSquares
 from ..filters import AbstractFilter, check_filter
 from ..guard import Guard
@@ -91,7 +92,7 @@ class AlgebraicMagnet(AbstractObserver):
     filter: AbstractFilter
     completion: AbstractCompletion = eqx.field(default_factory=LeastSquares)
     guard: Guard | None = eqx.field(default_factory=Guard)
-    start: str = eqx.field(static=True, default="exact")
+    start: FilterStart = eqx.field(static=True, default="exact")
     initial: Float[Array, " 2"] | None = eqx.field(converter=optional_real, default=None)
 
     def __check_init__(self):

@@ -4,10 +4,11 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float
 
 from .._checks import kind, optional_real, positive, real
 from .._small import safe_reciprocal
+from .._typing import PyTree
 from ..filters import AbstractLaw, LowPass
 from ..realise import Pass
 from .algebraic import AlgebraicObserver

@@ -2,8 +2,8 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import PyTree
 
+from .._typing import PyTree
 from ..completions import Repeat
 from ..filters import LowPass
 from ..guard import Guard

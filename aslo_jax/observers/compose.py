@@ -1,25 +1,26 @@
 """Observers of observers: side by side, joined, and in stages."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Generic
 
+import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import PyTree
 
+from .._typing import PyTree
 from ..realise import Pass
-from .base import AbstractObserver, Estimate, check_observers
+from .base import AbstractObserver, Estimate, First, Second, check_observers, named
 
 
-class SideBySide(AbstractObserver):
+class SideBySide(AbstractObserver[dict[str, First]], Generic[First]):
     """Several observers of the same signals as one; the estimate is a dictionary of
     theirs."""
 
-    observers: dict[str, AbstractObserver]
+    observers: dict[str, AbstractObserver[First]] = eqx.field(converter=named)
 
     def __check_init__(self):
         check_observers(self.observers)
 
-    def equations(self, F: Pass, u: PyTree, y: PyTree) -> dict[str, Any]:
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> dict[str, First]:
         return {
             name: observer(F.scope(name), u, y) for name, observer in self.observers.items()
         }
@@ -43,7 +44,7 @@ class Joined(AbstractObserver):
         )
 
 
-class Staged(AbstractObserver):
+class Staged(AbstractObserver[dict[str, First | Second]], Generic[First, Second]):
     """A first observer, and a second one that measures what `connect` makes of its
     estimate.
 
@@ -52,11 +53,11 @@ class Staged(AbstractObserver):
     The estimate is a dictionary with the entries `first` and `second`.
     """
 
-    first: AbstractObserver
-    second: AbstractObserver
-    connect: Callable[[PyTree, PyTree, Any], tuple[PyTree, PyTree]]
+    first: AbstractObserver[First]
+    second: AbstractObserver[Second]
+    connect: Callable[[PyTree, PyTree, First], tuple[PyTree, PyTree]]
 
-    def equations(self, F: Pass, u: PyTree, y: PyTree) -> dict[str, Any]:
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> dict[str, First | Second]:
         first = self.first(F.scope("first"), u, y)
         u, y = self.connect(u, y, first)
         second = self.second(F.scope("second"), u, y)

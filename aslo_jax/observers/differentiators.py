@@ -3,10 +3,11 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import positive, real
 from .._signals import check_shapes
+from .._typing import PyTree
 from ..filters import AbstractFilter, AbstractLaw, LinearSystem
 from ..plants import AbstractMechanicalSystem
 from ..realise import Pass

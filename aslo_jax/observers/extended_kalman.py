@@ -6,11 +6,12 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import is_concrete, positive, real
 from .._runge_kutta import runge_kutta
 from .._small import safe_reciprocal, solve_definite
+from .._typing import PyTree
 from ..filters import AbstractLaw
 from ..plants import AbstractMechanicalSystem, FluxRelation
 from ..realise import Pass

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import known_start, optional_real, positive, real
+from .._typing import FilterStart
 from ..filters import AbstractFilter, AbstractLaw, check_filter
 from ..plants.pmsm import FluxRelation
 from ..realise import Pass
@@ -73,7 +74,7 @@ class FO1(AbstractObserver):
     relation: FluxRelation
     filter: AbstractFilter
     gain: Float[Array, ""] = eqx.field(converter=real)
-    start: str = eqx.field(static=True, default="exact")
+    start: FilterStart = eqx.field(static=True, default="exact")
     initial: Float[Array, " 2"] | None = eqx.field(converter=optional_real, default=None)
 
     def __check_init__(self):

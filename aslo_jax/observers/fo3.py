@@ -5,10 +5,11 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import known_start, optional_real, positive, real
 from .._small import safe_reciprocal, solve_rows
+from .._typing import FilterStart, PyTree
 from ..filters import AbstractFilter, AbstractLaw, check_filter
 from ..guard import Guard
 from ..realise import Pass
@@ -71,7 +72,7 @@ class FO3(AbstractObserver):
     relation: Callable[[PyTree, PyTree], AbstractTerms]
     filter: AbstractFilter
     gain: Float[Array, ""] = eqx.field(converter=real)
-    start: str = eqx.field(static=True, default="exact")
+    start: FilterStart = eqx.field(static=True, default="exact")
     initial: Float[Array, " n"] | None = eqx.field(converter=optional_real, default=None)
 
     def __check_init__(self):

@@ -3,11 +3,12 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from .._checks import is_concrete, optional_real, real, stable
 from .._signals import vector
+from .._typing import PyTree
 from ..filters import LinearSystem
 from ..realise import Pass
 from .base import AbstractObserver, Estimate

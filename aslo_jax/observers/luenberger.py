@@ -4,10 +4,11 @@ import math
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import is_concrete, optional_real, positive, real, stable
 from .._signals import vector
+from .._typing import PyTree
 from ..filters import LinearSystem
 from ..realise import Pass
 from .base import AbstractObserver, Estimate

@@ -2,9 +2,10 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import positive, real
+from .._typing import PyTree
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
 

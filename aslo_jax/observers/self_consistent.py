@@ -5,10 +5,11 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import positive, real
 from .._signals import check_signals
+from .._typing import PyTree
 from ..completions import AbstractCompletion, LeastSquares
 from ..filters import AbstractFilter
 from ..guard import Guard

@@ -1,18 +1,20 @@
 """Angles from encoders, which wrap, as angles that do not."""
 
 from collections.abc import Mapping
+from typing import Generic
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float
 
 from .._signals import Shape
+from .._typing import PyTree
 from ..realise import Pass
-from .base import AbstractObserver
+from .base import AbstractObserver, Est, ObserverState
 from .pll import wrap
 
 
-class Unwrapped(AbstractObserver):
+class Unwrapped(AbstractObserver[Est], Generic[Est]):
     """An observer of `y`, shape `(p,)`, whose marked entries are angles (rad) that may jump
     by full turns between samples: they are unwrapped on the way in.
 
@@ -24,17 +26,25 @@ class Unwrapped(AbstractObserver):
     Source: theory, section 5.
     """
 
-    observer: AbstractObserver
+    observer: AbstractObserver[Est]
     angles: tuple[bool, ...] = eqx.field(static=True)
 
     @property
     def signals(self) -> Mapping[str, Shape]:
         return getattr(self.observer, "signals", {})
 
-    def equations(self, F: Pass, u: PyTree, y: PyTree):
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Est:
         return self.observer(F, u, y)
 
-    def advance(self, state, u, y, coefficients, *, substeps=1):
+    def advance(
+        self,
+        state: ObserverState,
+        u: PyTree,
+        y: PyTree,
+        coefficients: PyTree,
+        *,
+        substeps: int = 1,
+    ) -> tuple[ObserverState, Est]:
         y = _continued(state.y, y, jnp.asarray(self.angles))
         return self.observer.advance(state, u, y, coefficients, substeps=substeps)
 

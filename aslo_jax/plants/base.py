@@ -5,7 +5,9 @@ import abc
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
+
+from .._typing import PyTree
 
 
 class AbstractPlant(eqx.Module):

@@ -6,9 +6,10 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._small import solve_definite
+from .._typing import PyTree
 from ..relations import contract
 from .base import AbstractPlant
 

@@ -7,11 +7,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import positive, real, whole
+from .. import _choices
+from .._checks import one_of, positive, real, whole
+from .._typing import Winding
 from ..relations import Quadratic
 from .machine import AbstractMachine, direction, no_load
 
-WINDINGS = {"stator": slice(0, 2), "rotor": slice(2, 4)}
+WINDINGS: dict[Winding, slice] = {"stator": slice(0, 2), "rotor": slice(2, 4)}
 
 
 class WindingFluxRelation(eqx.Module):
@@ -27,16 +29,13 @@ class WindingFluxRelation(eqx.Module):
     Source: paper, Prop. 3 and App. C; theory, section 2.
     """
 
-    winding: str = eqx.field(static=True)
+    winding: Winding = eqx.field(static=True)
     resistance: Float[Array, ""] = eqx.field(converter=real)
     inductance: Float[Array, ""] = eqx.field(converter=real)
     mutual_inductance: Float[Array, ""] = eqx.field(converter=real)
 
     def __check_init__(self):
-        if self.winding not in WINDINGS:
-            raise ValueError(
-                f'Argument `winding` must be "stator" or "rotor", but got {self.winding!r}.'
-            )
+        one_of("winding", self.winding, _choices.Winding)
 
     def __call__(self, u: Float[Array, " m"], y: Float[Array, " 4"]) -> Quadratic:
         L, L_sr, own = self.inductance, self.mutual_inductance, WINDINGS[self.winding]
@@ -135,7 +134,7 @@ class WRIM(AbstractMachine):
     def detent(self, theta):
         return jnp.zeros_like(theta)
 
-    def flux_relation(self, winding: str) -> WindingFluxRelation:
+    def flux_relation(self, winding: Winding) -> WindingFluxRelation:
         """The quadratic relation of the flux of the `"stator"` or the `"rotor"`."""
         stator = winding == "stator"
         resistance = self.stator_resistance if stator else self.rotor_resistance

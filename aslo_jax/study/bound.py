@@ -10,9 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
+from .. import _choices
+from .._checks import one_of
 from .._runge_kutta import runge_kutta
+from .._typing import Average, PyTree
 from ..disturbances import AbstractDisturbance, SampledNoise
 from ..engines import run_batch
 from ..experiment import Carry, Experiment, Record
@@ -64,7 +67,7 @@ def cramer_rao(
     prior: PyTree,
     process: PyTree | None = None,
     noise: Any = None,
-    average: str = "bounds",
+    average: Average = "bounds",
 ) -> Bound:
     """The Cramer-Rao bound on the error of any observer that knows the plant, the inputs
     and the statistics of the noises, for `make(sample)` over `steps` samples in time.
@@ -105,10 +108,7 @@ def cramer_rao(
     **Raises:** `ValueError` in single precision, for a sensor without noise, or for
     `"information"` without noise on every state.
     """
-    if average not in ("bounds", "information"):
-        raise ValueError(
-            f'Argument `average` must be "bounds" or "information", but got {average!r}.'
-        )
+    one_of("average", average, _choices.Average)
     if jnp.result_type(float) != jnp.float64:
         raise ValueError(
             "The bound needs double precision, but JAX is in single; call "

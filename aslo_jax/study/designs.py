@@ -7,17 +7,21 @@ is always the same point.
 import hashlib
 import threading
 from collections.abc import Callable, Sequence
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float
 
+from .. import _choices
+from .._typing import DesignName
+
 Design = Callable[[int, int], Float[np.ndarray, "N d"]]
 
-DESIGNS = ("iid", "lhs", "sobol")
+DESIGNS = get_args(_choices.DesignName)
 ALIGNED = 4  # a range starts at a multiple of this: Philox gives words in fours
 
 
-def make_design(kind: str, names: Sequence[str], seed: int, samples: int) -> Design:
+def make_design(kind: DesignName, names: Sequence[str], seed: int, samples: int) -> Design:
     """`design(start, stop)`: the points of the samples from `start` to before `stop`, one
     coordinate, in (0, 1), for each of `names`.
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from .._typing import Engine
 from ..engines import Runner
 from ..experiment import Experiment
 from .problem import MakeMetric, made
@@ -25,7 +26,7 @@ def influences(
     scale: Float[np.ndarray, " n"] | None = None,
     base: int = 128,
     seed: int = 0,
-    engine: str = "auto",
+    engine: Engine = "auto",
     confidence: float = 0.95,
 ) -> Mapping[str, list[Index]]:
     """The Sobol indices of the logarithm of a metric, by observer, the largest total first.

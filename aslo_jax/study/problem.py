@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._typing import Engine
 from ..engines import Runner
 from ..experiment import Experiment, Record
 from ..metrics import AbstractMetric
@@ -42,7 +43,7 @@ class Problem:
     metrics: dict[str, MakeMetric]
     every: int | None
     scale: np.ndarray | None
-    engine: str
+    engine: Engine
     chunk: int
     configuration: dict[str, Any] | None
     units: dict[str, str]

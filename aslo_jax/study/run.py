@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._extras import require
+from .._typing import Engine
 from ..experiment import Experiment
 from .cluster import run_on_cluster, start_workers
 from .distributions import AbstractDistribution
@@ -32,7 +33,7 @@ def run(
     horizon: float | None = None,
     every: int | None = None,
     scale: Float[np.ndarray, " n"] | None = None,
-    engine: str = "auto",
+    engine: Engine = "auto",
     threads: int | None = None,
     chunk: int | None = None,
     store: str | Path | None = None,

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .._typing import DesignName
 from ..experiment import Experiment
 from .designs import DESIGNS, Design, make_design
 from .distributions import AbstractDistribution
@@ -48,12 +49,12 @@ class Spread:
     def __init__(
         self,
         parameters: Mapping[str, Parameter | tuple[Any, AbstractDistribution]],
-        design: str = "iid",
+        design: DesignName = "iid",
     ):
         if design not in DESIGNS:
             allowed = " or ".join(f'"{name}"' for name in DESIGNS)
             raise ValueError(f"Argument `design` must be {allowed}, but got {design!r}.")
-        self.design = design
+        self.design: DesignName = design
         self.parameters = {
             name: each if isinstance(each, Parameter) else Parameter(*each)
             for name, each in parameters.items()

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from .. import random
 from .._toml_text import table_of
+from .._typing import Engine
 from ..engines import run_batch
 from ..experiment import Experiment
 from ..logs import Log
@@ -55,7 +56,7 @@ def tune_study(
     seed: int = 0,
     steps: int = 40,
     after: float = 0.0,
-    engine: str = "auto",
+    engine: Engine = "auto",
     threads: int | None = None,
     progress: Callable[[str], None] = lambda name: None,
 ) -> dict[str, Tuned]:

@@ -7,9 +7,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
-from .. import random
+from .. import _choices, random
+from .._checks import one_of
+from .._typing import Mode, PyTree, Scale, Stopped, UsedMode
 from .coordinates import Bound, Coordinates
 from .descent import Descent, History, Limits, progress_bar
 from .gradients import Slope, slope
@@ -41,10 +43,10 @@ class Fitted(eqx.Module):
     initial_loss: float
     validation: float
     initial_validation: float
-    stopped: str = eqx.field(static=True)
+    stopped: Stopped = eqx.field(static=True)
     histories: list[History]
     best: int = eqx.field(static=True)
-    mode: str = eqx.field(static=True)
+    mode: UsedMode = eqx.field(static=True)
 
     @property
     def history(self) -> History:
@@ -69,13 +71,13 @@ def fit(
     key: random.Key | None = None,
     optimiser: Any = None,
     bounds: Bound | Sequence[Bound | None] | None = None,
-    scale: str | Sequence[str] = "auto",
+    scale: Scale | Sequence[Scale] = "auto",
     starts: int = 1,
     steps: int = 100,
     tolerance: float = 1e-4,
     improvement: float = 1e-6,
     patience: int = 10,
-    mode: str = "auto",
+    mode: Mode = "auto",
     progress: bool = False,
 ) -> Fitted:
     """Minimise `loss(tree, key)` over the leaves `where(tree)`, from the values they have.
@@ -115,10 +117,7 @@ def fit(
     **Raises:** `ValueError` for leaves that are not real, bounds that do not contain the
     start, or a loss that is no scalar.
     """
-    if mode not in ("auto", "forward", "reverse"):
-        raise ValueError(
-            f'Argument `mode` must be "auto", "forward" or "reverse", but got {mode!r}.'
-        )
+    one_of("mode", mode, _choices.Mode)
     if starts < 1 or steps < 1 or patience < 1:
         raise ValueError(
             "Arguments `starts`, `steps` and `patience` must be at least 1, but got "
@@ -139,7 +138,7 @@ def fit(
     return finished(coordinates, runs, function, key, mode)
 
 
-def objective(loss: Loss, coordinates: Coordinates, mode: str):
+def objective(loss: Loss, coordinates: Coordinates, mode: UsedMode):
     """The loss as a function of the coordinates and the key."""
     if isinstance(loss, AbstractLoss) and mode == "reverse":
         loss = loss.reversible()
@@ -156,11 +155,11 @@ def objective(loss: Loss, coordinates: Coordinates, mode: str):
 
 
 def sloped(
-    mode: str, loss: Loss, coordinates: Coordinates, key: random.Key
-) -> tuple[str, Slope]:
+    mode: Mode, loss: Loss, coordinates: Coordinates, key: random.Key
+) -> tuple[UsedMode, Slope]:
     """The mode (`"auto"` no more) and the compiled loss with its gradient."""
 
-    def compiled(mode):
+    def compiled(mode: UsedMode) -> tuple[UsedMode, Slope]:
         return mode, slope(objective(loss, coordinates, mode), mode)
 
     if mode != "auto":

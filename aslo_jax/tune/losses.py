@@ -9,11 +9,12 @@ import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .. import random
 from .._checks import nonnegative, positive, real, whole
 from .._replay import replay
+from .._typing import Engine, PyTree
 from ..engines import run_batch
 from ..engines.fused.plan import Plan
 from ..experiment import Experiment, Record
@@ -233,7 +234,7 @@ class MonteCarlo(AbstractLoss):
     steps: int = eqx.field(static=True)
     draw: Callable[[random.Key], PyTree] = _itself
     reduce: Reduction = mean
-    engine: str = eqx.field(static=True, default="auto")
+    engine: Engine = eqx.field(static=True, default="auto")
     threads: int | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):

@@ -11,9 +11,9 @@ import jax
 import jax.extend.core as jex
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
 
 from ..._checks import is_concrete
+from ..._typing import PyTree
 from ..ir.graph import NUMBERS, Graph
 from .elementwise import ELEMENTWISE, Unsupported
 from .functions import FUNCTIONS, applies_function

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import PyTree
 
 from ..._checks import is_concrete
+from ..._typing import PyTree
 from ..runtime.host import widths
 from .forward_only import forward_only, second
 from .plan import Batch, Plan

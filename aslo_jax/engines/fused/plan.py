@@ -4,8 +4,8 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-from jaxtyping import PyTree
 
+from ..._typing import PyTree
 from ...experiment import Experiment, Record
 from ...metrics import AbstractMetric
 

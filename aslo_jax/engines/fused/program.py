@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import PyTree
 
+from ..._typing import PyTree
 from ..backend.step import Body, Step, chosen
 from ..backend.target import Target
 from ..frontend.lower import NotFusible, check_numbers, flatten

@@ -6,8 +6,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
 
+from ..._typing import PyTree
 from ..frontend.lower import flatten
 from ..ir.activity import depends
 from ..ir.loop import Loop

@@ -5,11 +5,12 @@ import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, ValidationError
 
+from ..._choices import DesignName
 from ..._studies import NAMES
 from ...experiment import Experiment
 from ...machines.base import Positive, Table, Whole, key
@@ -39,7 +40,7 @@ class StudyTable(Table):
     scale: list[Positive] | None = key(
         "what each entry of the error is divided by in its norm", default=None
     )
-    design: Literal["iid", "lhs", "sobol"] = key("the design", default="iid")
+    design: DesignName = key("the design", default="iid")
     machine: Machine = key("the machine")
     control: Control = key("its control")
     observers: Annotated[dict[str, Observer], Field(min_length=1)] = key(

@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import jax.numpy as jnp
 from pydantic import Field
 
+from ..._choices import CompletionName, FilterStart
 from ...completions import AbstractCompletion, LeastSquares, Repeat
 from ...filters import LowPass
 from ...guard import Guard
@@ -54,11 +55,9 @@ class AlgebraicTable(AbstractObserverTable):
 
     kind: Literal["aslo"] = key("the kind of observer")
     cutoff: Positive = key("cutoff of the filter", "rad/s")
-    completion: Literal["least-squares", "repeat"] = key(
-        "from one row to two", default="least-squares"
-    )
+    completion: CompletionName = key("from one row to two", default="least-squares")
     threshold: Positive | None = key("certificate below which it coasts", default=None)
-    start: Literal["exact", "paper"] = key("how the filters start", default="exact")
+    start: FilterStart = key("how the filters start", default="exact")
     forgetting: Positive | None = key(
         "cutoff of the information matrix, by default that of the filter",
         "rad/s",

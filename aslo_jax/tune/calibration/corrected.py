@@ -3,9 +3,10 @@
 from collections.abc import Callable
 
 import equinox as eqx
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from ..._checks import positive, real
+from ..._typing import PyTree
 from ...relations import AbstractTerms
 
 
