@@ -84,7 +84,7 @@ def flux_from_torque(
     - `amplitude`: `"peak"` or `"rms"` amperes.
     """
     one_of("amplitude", amplitude, Amplitude)
-    per_peak = constant * (1.0 if amplitude == "peak" else 0.5**0.5)
+    per_peak = constant * (1.0 if amplitude == "peak" else math.sqrt(0.5))
     return per_peak / (1.5 * _pole_pairs(pole_pairs))
 
 

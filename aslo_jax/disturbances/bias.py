@@ -39,7 +39,7 @@ class RandomWalk(AbstractSampled):
     """
 
     deviation: Float[Array, "*signal"] = eqx.field(converter=real)
-    key: random.Key
+    key: random.Key = eqx.field(converter=random.as_key)
     stream: int = eqx.field(static=True, default=1)
 
     def init(self, t, signal, output=None):

@@ -19,7 +19,7 @@ class MissingSamples(AbstractSampled):
     """
 
     probability: Float[Array, ""] = eqx.field(converter=real)
-    key: random.Key
+    key: random.Key = eqx.field(converter=random.as_key)
     stream: int = eqx.field(static=True, default=2)
 
     def __check_init__(self):

@@ -21,7 +21,7 @@ class SampledNoise(AbstractDisturbance):
 
     deviation: Float[Array, "*signal"] = eqx.field(converter=real)
     interval: float = eqx.field(static=True)
-    key: random.Key
+    key: random.Key = eqx.field(converter=random.as_key)
     stream: int = eqx.field(static=True, default=0)
 
     def __check_init__(self):

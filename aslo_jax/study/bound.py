@@ -12,7 +12,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from .. import _choices
+from .. import _choices, random
 from .._checks import one_of
 from .._runge_kutta import runge_kutta
 from .._typing import Average, PyTree
@@ -44,7 +44,10 @@ class Bound(eqx.Module):
         return np.sqrt(self.variance.sum(2).mean(0))
 
     def rms(
-        self, after: float = 0.0, confidence: float = 0.95, seed: int = 0
+        self,
+        after: float = 0.0,
+        confidence: float = 0.95,
+        key: random.KeyLike | None = None,
     ) -> statistics.Interval:
         """The least rms, over samples and over time from `after` (s) on, of the norm of the
         error: the bound on the rms over samples of the metric `RMSError`. The interval is
@@ -56,7 +59,7 @@ class Bound(eqx.Module):
                 f"s, but got {after}."
             )
         size = np.sqrt(counted.sum(2).mean(1))
-        return statistics.rms(size, confidence, seed)
+        return statistics.rms(size, confidence, key)
 
 
 def cramer_rao(

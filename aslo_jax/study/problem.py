@@ -4,7 +4,6 @@ import dataclasses
 import hashlib
 import json
 import re
-from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -17,7 +16,7 @@ from jaxtyping import Array, Float
 from .._typing import Engine
 from ..engines import Runner
 from ..experiment import Experiment, Record
-from ..metrics import AbstractMetric
+from ..metrics.base import MakeMetric, metric_of
 from .leaves import Layout
 from .spread import Sampler, Spread
 from .store import Data, Schema, Variable
@@ -26,8 +25,6 @@ from .store import Data, Schema, Variable
 # always in the same place of its block. A multiple of every width of the fused engine.
 BLOCK = 256
 CHUNK = 1024  # by default: a progress every few seconds, ten pieces of 10,000 samples
-
-MakeMetric = Callable[[str], AbstractMetric] | AbstractMetric
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +89,7 @@ class Study:
             problem.experiment, problem.spread, problem.seed, problem.samples
         )
         metrics = {
-            f"{metric}/{observer}": made(make, observer)
+            f"{metric}/{observer}": metric_of(make, observer)
             for metric, make in problem.metrics.items()
             for observer in problem.observers
         }
@@ -214,13 +211,6 @@ def _hidden(experiment: Experiment) -> Float[Array, " n"]:
     return experiment.plant.hidden(jax.tree.map(jnp.asarray, start))
 
 
-def made(make: MakeMetric, observer: str) -> AbstractMetric:
-    """The metric of one observer."""
-    if isinstance(make, AbstractMetric):
-        return dataclasses.replace(make, observer=observer)  # pyright: ignore[reportCallIssue]
-    return make(observer)
-
-
 def versions() -> dict[str, str]:
     """Of the packages that decide the bits of a study."""
     found = {}
@@ -238,7 +228,7 @@ def _described(problem: Problem) -> dict[str, Any]:
         "experiment": eqx.tree_pformat(problem.experiment, short_arrays=False),
         "spread": str(problem.spread),
         "metrics": {
-            name: eqx.tree_pformat(made(make, "observer"), short_arrays=False)
+            name: eqx.tree_pformat(metric_of(make, "observer"), short_arrays=False)
             for name, make in problem.metrics.items()
         },
     }
@@ -267,7 +257,7 @@ def fingerprint(problem: Problem) -> str:
     add(problem.spread.design, problem.every)
     add(None if problem.scale is None else problem.scale.tolist())
     for name, make in problem.metrics.items():
-        metric = made(make, "observer")
+        metric = metric_of(make, "observer")
         add(name, type(metric).__qualname__, *map(_content, jax.tree.leaves(metric)))
         add(jax.tree.structure(metric))
     return found.hexdigest()

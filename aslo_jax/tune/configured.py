@@ -54,7 +54,7 @@ def tune_study(
     *,
     samples: int = 128,
     seed: int = 0,
-    steps: int = 40,
+    iterations: int = 40,
     after: float = 0.0,
     engine: Engine = "auto",
     threads: int | None = None,
@@ -67,7 +67,7 @@ def tune_study(
       is a parameter of it as it stands;
     - `samples`: of the file's spread, drawn with `seed`, the same at every iteration; as
       many fresh ones judge the result;
-    - `steps`: iterations of [`fit`][] at most; `after` (s): from when on errors count;
+    - `iterations`: of [`fit`][] at most; `after` (s): from when on errors count;
     - `progress(name)`: called before each observer;
     - `engine`, `threads`: of [`aslo_jax.run_batch`][].
 
@@ -82,7 +82,7 @@ def tune_study(
     for name, named in keys.items():
         progress(name)
         found[name] = _tuned(
-            configuration, content, name, named, samples, seed, steps, after,
+            configuration, content, name, named, samples, seed, iterations, after,
             engine, threads,
         )  # fmt: skip
     return found
@@ -196,7 +196,7 @@ def _places(
 
 
 def _tuned(
-    configuration, content, name, places, samples, seed, steps, after, engine, threads
+    configuration, content, name, places, samples, seed, iterations, after, engine, threads
 ) -> Tuned:
     loop = _alone(configuration, name)
     sampler = Sampler(loop, configuration.spread, seed, 2 * samples)
@@ -229,7 +229,7 @@ def _tuned(
         where=lambda gains: [gains[k] for k in before],
         key=key,
         bounds=[(v / SPAN, v * SPAN) for v in before.values()],
-        steps=steps,
+        iterations=iterations,
         mode="forward",
     )
     fresh = random.fold(key, 1)

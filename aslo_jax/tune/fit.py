@@ -68,12 +68,12 @@ def fit(
     loss: Loss,
     *,
     where: Callable[[PyTree], Any],
-    key: random.Key | None = None,
+    key: random.KeyLike | None = None,
     optimiser: Any = None,
     bounds: Bound | Sequence[Bound | None] | None = None,
     scale: Scale | Sequence[Scale] = "auto",
     starts: int = 1,
-    steps: int = 100,
+    iterations: int = 100,
     tolerance: float = 1e-4,
     improvement: float = 1e-6,
     patience: int = 10,
@@ -90,7 +90,7 @@ def fit(
       the validation;
     - `where`: from the tree to a leaf or a sequence of leaves, each an array of real
       numbers: rates of filters, gains, bandwidths;
-    - `key`: of [`aslo_jax.random`][], by default that of seed 0;
+    - `key`: of the random numbers of the loss, by default `jax.random.key(0)`;
     - `optimiser`: any of optax; by default `optax.lbfgs()` with its line search, which
       needs the fewest runs (docs/tuning.md);
     - `bounds`: `(low, high)` for each leaf in turn, either of them or the pair `None` where
@@ -100,7 +100,7 @@ def fit(
       for each;
     - `starts`: of several descents, the first is from the given tree and the others from
       Sobol points within the bounds, or within a factor of ten of the start;
-    - `steps`: at most as many iterations in each descent; `tolerance`: a descent has
+    - `iterations`: at most as many in each descent; `tolerance`: a descent has
       converged where the slope of the loss in every coordinate (of a positive leaf, its
       logarithm) is below this part of the loss; `improvement`, `patience`: it ends early
       when the loss has not fallen by this part of itself in as many iterations;
@@ -118,21 +118,21 @@ def fit(
     start, or a loss that is no scalar.
     """
     one_of("mode", mode, _choices.Mode)
-    if starts < 1 or steps < 1 or patience < 1:
+    if starts < 1 or iterations < 1 or patience < 1:
         raise ValueError(
-            "Arguments `starts`, `steps` and `patience` must be at least 1, but got "
-            f"{starts}, {steps} and {patience}."
+            "Arguments `starts`, `iterations` and `patience` must be at least 1, but got "
+            f"{starts}, {iterations} and {patience}."
         )
-    key = random.key(0) if key is None else key
+    key = random.key(0) if key is None else random.as_key(key)
     coordinates = Coordinates(tree, where, bounds, scale)
     points = coordinates.starts(starts)
     mode, function = sloped(mode, loss, coordinates, key)
     descent = Descent(
         function,
         default_optimiser(optimiser),
-        Limits(steps, tolerance, improvement, patience),
+        Limits(iterations, tolerance, improvement, patience),
     )
-    advance, close = progress_bar(starts * (steps + 1), progress)
+    advance, close = progress_bar(starts * (iterations + 1), progress)
     runs = [descent.run(start, key, advance) for start in points]
     close()
     return finished(coordinates, runs, function, key, mode)

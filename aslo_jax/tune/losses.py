@@ -19,6 +19,7 @@ from ..engines import run_batch
 from ..engines.fused.plan import Plan
 from ..experiment import Experiment, Record
 from ..metrics import AbstractMetric
+from ..metrics.base import MakeMetric, metric_of
 from ..observers import AbstractObserver
 from .checkpoints import checkpointed
 
@@ -218,8 +219,9 @@ class MonteCarlo(AbstractLoss):
 
     - `place(tree, sample)`: the experiment of one sample; the tree is that given to
       [`fit`][], an experiment, say, or a dictionary of gains;
-    - `metric`: a scalar of one experiment, as [`MeanSquare`][];
-    - `samples`: how many; `steps`: of each, in time;
+    - `metric`: a scalar of one experiment, as [`MeanSquare`][]: an instance, or a class or
+      any `metric(observer)` where the experiment has one observer;
+    - `samples`: how many; `steps`: the intervals of each;
     - `draw(key)`: one sample from its key, by default the key itself;
     - `reduce`: [`mean`][], [`worst`][], a [`CVaR`][], or any function of the costs of all
       samples, shape `(N,)`;
@@ -228,8 +230,8 @@ class MonteCarlo(AbstractLoss):
     Sample k has the key `fold(key, k)`, so fits with the same key see the same samples.
     """
 
-    place: Callable[[PyTree, PyTree], Experiment]
-    metric: AbstractMetric
+    place: Callable[[PyTree, PyTree], Experiment[Any]]
+    metric: MakeMetric
     samples: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     draw: Callable[[random.Key], PyTree] = _itself
@@ -264,7 +266,7 @@ class MonteCarlo(AbstractLoss):
         def make(sample):
             return self.place(eqx.combine(sample[0], known), sample[1])
 
-        metrics, samples = {"cost": self.metric}, (shared, drawn)
+        metrics, samples = {"cost": self._metric(tree, key)}, (shared, drawn)
         if self.engine == "checkpointed":
             plan = Plan(make, metrics, None)
             return checkpointed(plan, samples, self.steps)["cost"]
@@ -277,6 +279,18 @@ class MonteCarlo(AbstractLoss):
             threads=self.threads,
         )
         return batch.metrics["cost"]
+
+    def _metric(self, tree: PyTree, key: random.Key) -> AbstractMetric:
+        if isinstance(self.metric, AbstractMetric):
+            return self.metric
+        one = lambda tree, key: self.place(tree, self.draw(key))
+        observers = list(eqx.filter_eval_shape(one, tree, key).observers)
+        if len(observers) != 1:
+            raise ValueError(
+                "Argument `metric` must be an instance that names its observer where an "
+                f"experiment has several, but this one has {observers}."
+            )
+        return metric_of(self.metric, observers[0])
 
     def reversible(self):
         return dataclasses.replace(self, engine="checkpointed")

@@ -80,7 +80,7 @@ def _closed(graph: Graph, closed: Any, inputs: list[Value]) -> list[Value]:
         raise NotFusible(
             "The fused engine cannot compile a function that closes over a value which is "
             "being traced (by jit, vmap or a derivative around it): hand it over in "
-            '`samples`, one for each, or use engine="scan".'
+            '`parameters`, one for each, or use engine="scan".'
         )
     typed = [c for c in closed.consts if hasattr(c, "dtype") and _is_extended(c.dtype)]
     check_numbers(typed, "a constant that a function closes over has")

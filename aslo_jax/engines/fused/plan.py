@@ -13,7 +13,7 @@ from ...metrics import AbstractMetric
 class Batch(eqx.Module):
     """The results of `N` experiments, every leaf with a leading axis of length N.
 
-    - `metrics`: by name;
+    - `metrics`: by name, and then by observer where a metric was asked for of each;
     - `record`: what was asked to be recorded, with a second axis of `steps // every + 1`
       samples, the first at t = 0; `None` where nothing was.
     """
@@ -26,9 +26,9 @@ class Plan(eqx.Module):
     """The loop of one sample: its state is the experiment's carry and that of the metrics,
     its output what is kept of a record."""
 
-    make: Callable[[PyTree], Experiment]
+    make: Callable[[PyTree], Experiment[Any]]
     metrics: dict[str, AbstractMetric]
-    record: Callable[[Record], PyTree] | None
+    record: Callable[[Record[Any]], PyTree] | None
 
     def first(self, sample: PyTree) -> tuple[PyTree, PyTree]:
         state, kept, _ = self.begun(sample)
@@ -60,5 +60,5 @@ class Plan(eqx.Module):
         _, metrics = state
         return {name: m.result(metrics[name]) for name, m in self.metrics.items()}
 
-    def _kept(self, record: Record) -> PyTree:
+    def _kept(self, record: Record[Any]) -> PyTree:
         return None if self.record is None else self.record(record)

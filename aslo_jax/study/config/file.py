@@ -14,7 +14,7 @@ from ..._choices import DesignName
 from ..._studies import NAMES
 from ...experiment import Experiment
 from ...machines.base import Positive, Table, Whole, key
-from ..problem import MakeMetric
+from ...metrics.base import MakeMetric
 from ..spread import Spread
 from .control import Control
 from .disturbances import Disturbance, chained
@@ -58,7 +58,7 @@ class StudyTable(Table):
 @dataclasses.dataclass(frozen=True)
 class Configuration:
     """What a file describes, ready for [`run`][]:
-    `run(c.experiment, c.spread, samples=..., seed=..., **c.settings)`.
+    `run(c.experiment, c.spread, samples=..., key=..., **c.settings)`.
 
     - `experiment`, `spread`, `metrics`, `steps`, `every`, `scale`, `units`, `entries`: as
       there; `title`;

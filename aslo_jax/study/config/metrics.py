@@ -8,7 +8,7 @@ from pydantic import Field
 
 from ... import metrics
 from ...machines.base import Positive, Table, key
-from ..problem import MakeMetric
+from ...metrics.base import MakeMetric
 from .machines import NonNegative
 
 MOTORS = ("pmsm",)
