@@ -11,10 +11,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from . import _choices
+from ._typing import Numbers
 
 
-def real(x: Any) -> Array:
+def real(x: Numbers) -> Array:
     """Convert `x` to a floating-point array; arrays keep their floating dtype."""
+    if isinstance(x, str | bytes):
+        raise ValueError(f"A number, or an array of numbers, is needed, but got {x!r}.")
     dtype = getattr(x, "dtype", None)
     floating = dtype is not None and jnp.issubdtype(dtype, jnp.floating)
     if not is_concrete(x):
@@ -24,7 +27,7 @@ def real(x: Any) -> Array:
         return jnp.asarray(x, None if floating else float)
 
 
-def optional_real(x: Any) -> Array | None:
+def optional_real(x: Numbers | None) -> Array | None:
     """As [`real`][], but `None` stays `None`."""
     return None if x is None else real(x)
 
@@ -60,6 +63,12 @@ def unlike(name: str, x: Any, hint: str) -> ValueError:
     plain = isinstance(x, bool | int | float | str)
     got = repr(x) if plain else f"a `{type(x).__name__}`"
     return ValueError(f"Argument `{name}` must be {hint}, but got {got}.")
+
+
+def function(name: str, x: Any) -> None:
+    """Refuse an `x` that is neither a function nor `None`."""
+    if not (x is None or callable(x) or type(x) is object):
+        raise unlike(name, x, "a function")
 
 
 def whole(name: str, x: int) -> None:

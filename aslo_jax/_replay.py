@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from . import _choices
-from ._checks import is_concrete, one_of, real
+from ._checks import is_concrete, kind, one_of, real
 from ._typing import Engine, PyTree
 from .observers import AbstractObserver, ObserverState
 from .observers.base import Est
@@ -112,6 +112,7 @@ def replay(
     above `max_gap`; [`NotFusible`][] for an observer that the fused engine cannot compile.
     """
     one_of("engine", engine, _choices.Engine)
+    kind("observer", observer, AbstractObserver, hint="an observer")
     u, y = _signal("u", u), _signal("y", y)
     # Concrete instants keep the precision they came with until intervals are taken: JAX's
     # single precision resolves 1 ms after 10,000 s.

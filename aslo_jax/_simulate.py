@@ -4,14 +4,14 @@ from collections.abc import Callable, Mapping
 from typing import Any, Generic
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._checks import is_concrete, kind
+from ._checks import function, is_concrete, kind
 from ._jumps import Span, between_jumps, span
+from ._module import Module
 from ._typing import PyTree
 from .control import AbstractController
 from .control.base import controlled
@@ -21,7 +21,7 @@ from .observers.base import Est, check_observers
 from .plants import AbstractPlant
 
 
-class Simulation(eqx.Module, Generic[Est]):
+class Simulation(Module, Generic[Est]):
     """What [`simulate`][] returns; every leaf has a leading axis of the `N` instants `t`.
 
     - `t` (s); `u`, the input that the observers saw; `y`, the measurement they saw;
@@ -43,7 +43,7 @@ class Simulation(eqx.Module, Generic[Est]):
         return self.estimates[name].value - self.hidden
 
 
-class _Loop(eqx.Module):
+class _Loop(Module):
     """The interconnection: who sees what."""
 
     plant: AbstractPlant
@@ -169,7 +169,7 @@ def simulate(
     sensor: AbstractDisturbance | None = None,
     input_sensor: AbstractDisturbance | None = None,
     feedback: Callable[[PyTree, PyTree, dict[str, Any]], PyTree] | None = None,
-    solver: diffrax.AbstractSolver | None = None,
+    solver: diffrax.AbstractSolver[Any] | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     dt0: float | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
@@ -204,6 +204,7 @@ def simulate(
     controller = controlled(controller)
     kind("plant", plant, AbstractPlant, hint="a plant")
     check_observers(observers)
+    function("feedback", feedback)
     if is_concrete(t0, t1) and not t0 < t1:
         raise ValueError(f"Argument `t1` must be after t0 = {t0} s, but got {t1} s.")
     if ts is None:

@@ -3,6 +3,8 @@
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
+    import numpy as np
+    from jax import Array
     from jax.typing import ArrayLike
 
     from ._choices import (
@@ -22,6 +24,9 @@ if TYPE_CHECKING:
     PyTree: TypeAlias = Any
     # What is converted to an array of real numbers.
     Numbers: TypeAlias = ArrayLike
+    # An array in a method whose protocol says its shape.
+    RealArray: TypeAlias = Array
+    HostArray: TypeAlias = np.ndarray[Any, np.dtype[Any]]
 else:
     from jaxtyping import PyTree as PyTree
 
@@ -29,16 +34,18 @@ else:
     # with an error that says which ones do.
     Average = DesignName = Engine = FilterStart = Mode = RunningEngine = str
     Scale = Stopped = UsedMode = Winding = str
-    Numbers = Any
+    Numbers = RealArray = HostArray = Any
 
 __all__ = [
     "Average",
     "DesignName",
     "Engine",
     "FilterStart",
+    "HostArray",
     "Mode",
     "Numbers",
     "PyTree",
+    "RealArray",
     "RunningEngine",
     "Scale",
     "Stopped",

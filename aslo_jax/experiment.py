@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from ._checks import divides, kind, positive, real
+from ._checks import divides, function, kind, positive, real
+from ._module import Module
 from ._runge_kutta import runge_kutta
 from ._typing import PyTree
 from .control import AbstractController
@@ -19,7 +20,7 @@ from .observers.base import Est, check_observers, named
 from .plants import AbstractPlant
 
 
-class Record(eqx.Module, Generic[Est]):
+class Record(Module, Generic[Est]):
     """What an experiment records at `t` (s): the plant's state `x` and its `hidden` part,
     the measurement `y` and the input `u` that the observers are given (held from `t` on),
     and the `estimates` by observer name."""
@@ -32,7 +33,7 @@ class Record(eqx.Module, Generic[Est]):
     estimates: dict[str, Est]
 
 
-class Carry(eqx.Module):
+class Carry(Module):
     """Everything that goes on from one sample to the next; a value."""
 
     x: PyTree
@@ -45,7 +46,7 @@ class Carry(eqx.Module):
     input_sensor: DisturbanceState | None
 
 
-class Experiment(eqx.Module, Generic[Est]):
+class Experiment(Module, Generic[Est]):
     """A plant under a sampled controller with observers beside it.
 
     - `controller`: a controller, or a function of time (s) for an open loop;
@@ -73,10 +74,11 @@ class Experiment(eqx.Module, Generic[Est]):
     initial: PyTree | None = None
     plant_steps: int = eqx.field(static=True, default=1)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("interval", self.interval, "s")
         kind("plant", self.plant, AbstractPlant, hint="a plant")
         check_observers(self.observers)
+        function("feedback", self.feedback)
         if self.plant_steps < 1:
             raise ValueError(
                 f"Argument `plant_steps` must be at least 1, but got {self.plant_steps}."

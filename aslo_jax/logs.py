@@ -103,7 +103,7 @@ class LogReader:
         truth: bool = True,
         max_gap: float | None = None,
         watch: Callable[[Log], object] = lambda log: None,
-    ):
+    ) -> None:
         path = Path(path)
         if max_gap is not None and not max_gap > 0:
             raise LogError(
@@ -223,7 +223,7 @@ class TableWriter:
     Every digit of a float64 is kept, in CSV too. An .npz file is written at the end, from
     memory."""
 
-    def __init__(self, path: Path | str):
+    def __init__(self, path: Path | str) -> None:
         self.path = check_suffix(path)
         self._suffix = self.path.suffix.lower()
         self._pieces: list[dict[str, np.ndarray]] = []

@@ -36,7 +36,7 @@ def _at(drive: Drive, X: PyTree) -> PyTree:
 class AbstractRealisation(abc.ABC):
     """What one pass over the equations does with each state. Lives for one pass only."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._names: set[str] = set()
         self._counts: dict[str, int] = {}
 
@@ -70,12 +70,12 @@ class AbstractRealisation(abc.ABC):
 class Start(AbstractRealisation):
     """Allocates the states: their names, shapes and first values."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__()
         self.states: States = {}
         self.laws: dict[str, AbstractLaw] = {}
 
-    def evolve(self, name, law, drive, start):
+    def evolve(self, name: str, law: AbstractLaw, drive: Drive, start: PyTree) -> PyTree:
         v = _at(drive, start) if start is not None else drive
         if start is None:
             start = jax.tree.map(jnp.zeros_like, v)
@@ -83,7 +83,9 @@ class Start(AbstractRealisation):
         self.laws[name] = law
         return start
 
-    def loop(self, name, law, start):
+    def loop(
+        self, name: str, law: AbstractLaw, start: PyTree
+    ) -> tuple[PyTree, Callable[[Drive], PyTree]]:
         def close(drive):
             return self.evolve(name, law, drive, start)
 
@@ -99,20 +101,22 @@ class Start(AbstractRealisation):
 class Flow(AbstractRealisation):
     """Reads the states and records every derivative and every drive."""
 
-    def __init__(self, states: States):
+    def __init__(self, states: States) -> None:
         super().__init__()
         self.states = states
         self.rates: States = {}
         self.drives: States = {}
 
-    def evolve(self, name, law, drive, start):
+    def evolve(self, name: str, law: AbstractLaw, drive: Drive, start: PyTree) -> PyTree:
         X = _found(self.states, name)
         v = _at(drive, X)
         self.rates[name] = law.flow(X, v)
         self.drives[name] = v
         return X
 
-    def loop(self, name, law, start):
+    def loop(
+        self, name: str, law: AbstractLaw, start: PyTree
+    ) -> tuple[PyTree, Callable[[Drive], PyTree]]:
         def close(drive):
             return self.evolve(name, law, drive, start)
 
@@ -127,7 +131,9 @@ class Advance(AbstractRealisation):
     the same input.
     """
 
-    def __init__(self, states: States, drives: States, coefficients: Mapping[str, PyTree]):
+    def __init__(
+        self, states: States, drives: States, coefficients: Mapping[str, PyTree]
+    ) -> None:
         super().__init__()
         self.states = states
         self.left = drives
@@ -135,12 +141,14 @@ class Advance(AbstractRealisation):
         self.advanced: States = {}
         self.drives: States = {}
 
-    def evolve(self, name, law, drive, start):
+    def evolve(self, name: str, law: AbstractLaw, drive: Drive, start: PyTree) -> PyTree:
         if callable(drive):
             return self.loop(name, law, start)[1](drive)
         return self._finish(name, law, drive, drive)
 
-    def loop(self, name, law, start):
+    def loop(
+        self, name: str, law: AbstractLaw, start: PyTree
+    ) -> tuple[PyTree, Callable[[Drive], PyTree]]:
         left = self.left[name]
         predicted = law.advance(self.states[name], left, left, self.coefficients[name])
 
@@ -176,7 +184,7 @@ class Pass:
         filter: AbstractFilter | None = None,
         start: FilterStart = "exact",
         scope: str = "",
-    ):
+    ) -> None:
         self._realisation = realisation
         self._filter = filter
         self._start: FilterStart = start

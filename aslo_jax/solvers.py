@@ -9,7 +9,7 @@ import jax
 from ._runge_kutta import runge_kutta as runge_kutta
 
 
-class RungeKutta4(diffrax.AbstractSolver):
+class RungeKutta4(diffrax.AbstractSolver[None]):
     """The classical fourth-order method with fixed steps, written out: it has no loop over
     stages and no error estimate, so that a step costs less than one of `diffrax.Tsit5`.
 

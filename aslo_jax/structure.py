@@ -41,7 +41,7 @@ class Structure:
     friction: tuple[Friction, ...]
     constant: tuple[bool, ...]
 
-    def __str__(self):
+    def __str__(self) -> str:
         steps = [", ".join(f"q{j + 1}'" for j in stage) for stage in self.stages]
         words = {
             "none": "none",

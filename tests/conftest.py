@@ -39,7 +39,7 @@ install_import_hook(
     [
         ".".join(path.relative_to(ROOT).with_suffix("").parts)
         for path in sorted((ROOT / "aslo_jax").rglob("*.py"))
-        if any(name in path.read_text() for name in ("jaxtyping", "_typing import"))
+        if "jaxtyping" in path.read_text()
     ],
     "beartype.beartype",
 )

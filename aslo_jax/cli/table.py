@@ -44,7 +44,7 @@ class Replayed:
 
     def __init__(
         self, observer: AbstractObserver[Any], interval: float | None, substeps: int = 1
-    ):
+    ) -> None:
         self.observer, self.substeps = observer, substeps
         self.interval = None if interval is None else np.asarray(interval)
         self.slow = ""
@@ -86,7 +86,7 @@ class Estimator:
         t: Float[np.ndarray, " N"],
         substeps: int = 4,
         first: int | None = None,
-    ):
+    ) -> None:
         self.machine, self.starts = machine, dict[str, int]()
         interval = common_interval(t)
         self.observed = Replayed(machine.state_observer(rates), interval, substeps)

@@ -7,9 +7,11 @@ from typing import Any, SupportsIndex
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import wadler_lindig as wl
 
 from .. import _choices
 from .._checks import counted, divides, one_of, whole
+from .._module import WIDTH
 from .._typing import Engine, PyTree, RunningEngine
 from ..experiment import Experiment, Record
 from ..metrics import AbstractMetric
@@ -44,6 +46,9 @@ class Runner:
     """
 
     engine: RunningEngine
+    steps: int
+    every: int
+    block: int | None
     shapes: Batch
 
     def __init__(
@@ -58,7 +63,7 @@ class Runner:
         engine: Engine = "auto",
         threads: SupportsIndex | None = None,
         block: SupportsIndex | None = None,
-    ):
+    ) -> None:
         steps = counted("steps", steps)
         every = steps if every is None else counted("every", every)
         divides(every, steps)
@@ -81,6 +86,14 @@ class Runner:
             self.shapes = Batch(jax.eval_shape(self._plan.results, state), kept)
         else:
             self.shapes = Batch(self._fused.program.final, self._fused.program.record)
+
+    def __repr__(self) -> str:
+        """What it runs, and on what; not how."""
+        like = wl.pformat(self._like, width=WIDTH, short_arrays=True, custom=_shape)
+        parts = [f"like={like}", f"steps={self.steps}"]
+        parts += [f"metrics={sorted(self.shapes.metrics)}"] if self.shapes.metrics else []
+        parts += [f"every={self.every}"] if self.every != self.steps else []
+        return f"Runner({', '.join(parts)}, engine={self.engine!r})"
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what it was traced from, whose classes may exist in this process only."""
@@ -208,6 +221,13 @@ def _metrics(
     if not all(isinstance(metric, AbstractMetric) for metric in metrics.values()):
         observers = list(eqx.filter_eval_shape(make, like).observers)
     return {name: metric_of_each(metric, observers) for name, metric in metrics.items()}
+
+
+def _shape(x: Any) -> wl.AbstractDoc | None:
+    """A shape and type, as arrays are abbreviated."""
+    if not isinstance(x, jax.ShapeDtypeStruct):
+        return None
+    return wl.array_summary(x.shape, f"{x.dtype}", kind=None)
 
 
 @eqx.filter_jit

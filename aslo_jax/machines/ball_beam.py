@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from ..plants import BallBeam
+from ..plants import AbstractMechanicalSystem, BallBeam
 from .base import Positive, Table, key
 from .mechanism import AbstractMechanism, Two, layout
 
@@ -31,5 +31,5 @@ class BallBeamDescription(AbstractMechanism[BallBeamTable]):
     title = "Ball and beam"
     layout = layout((False, True), 1, "q1 ball, q2 beam; u1 torque over the ball's mass")
 
-    def plant(self):
+    def plant(self) -> AbstractMechanicalSystem:
         return BallBeam(**self.machine.model_dump(exclude={"kind"}))

@@ -32,7 +32,9 @@ class MachineError(ValueError):
 class Table(BaseModel):
     """A table of a description: unknown keys, text for a number, NaN are refused."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    model_config: ClassVar[ConfigDict] = ConfigDict(
+        extra="forbid", strict=True, frozen=True, allow_inf_nan=False
+    )
 
 
 Positive = Annotated[float, Field(gt=0)]

@@ -1,6 +1,7 @@
 """`kind = "interior_pmsm"`: the interior permanent-magnet synchronous motor."""
 
-from typing import ClassVar, Literal
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,14 +10,17 @@ from pydantic import model_validator
 from ..completions import LeastSquares, Repeat
 from ..filters import LowPass
 from ..guard import Guard
-from ..observers import SelfConsistent
+from ..logs import Log
+from ..observers import AbstractObserver, SelfConsistent
 from ..plants import InteriorPMSM, SalientFluxRelation
 from . import keys, motor
 from .base import (
     AbstractDescription,
+    Columns,
     MachineError,
     Positive,
     Rate,
+    Rates,
     Table,
     Whole,
     algebraic,
@@ -96,7 +100,7 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
             )
         return self
 
-    def plant(self):
+    def plant(self) -> InteriorPMSM:
         if self.machine.magnet_flux is None:
             raise MachineError(
                 "`machine.magnet_flux` must be given for a plant, but is missing; the "
@@ -104,7 +108,7 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
             )
         return InteriorPMSM(**self.machine.model_dump(exclude={"kind"}))
 
-    def default_rates(self, log, stated):
+    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
         rates = motor.motor_rates(log, stated)
         cutoff = rates["cutoff"].value if "cutoff" in rates else stated.get("cutoff")
         needed = self.observer.saliency == "self-consistent" and "gain" not in stated
@@ -112,10 +116,10 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
             rates["gain"] = Rate(cutoff, "that of the filter")
         return rates
 
-    def condensed(self, log):
+    def condensed(self, log: Log) -> Log:
         return motor.driving(log, self.machine.resistance)
 
-    def state_observer(self, rates):
+    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         settings, cutoff = self.observer, rates["cutoff"].value
         if settings.saliency == "self-consistent":
             least_squares = settings.completion == "least-squares"
@@ -142,14 +146,14 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
             gain=rates.get("gain"),
         )
 
-    def columns(self, estimate, log):
+    def columns(self, estimate: Any, log: Log) -> Columns:
         active = np.asarray(estimate.value) - self.machine.quadrature_inductance * log.y
         return motor.motor_columns(estimate, active)
 
-    def truth(self, log):
+    def truth(self, log: Log) -> Columns:
         return motor.motor_truth(log, self.machine.pole_pairs)
 
-    def residuals(self, columns, log):
+    def residuals(self, columns: Columns, log: Log) -> Columns:
         if self.machine.magnet_flux is None:
             return {}
         machine, m = self.machine, self.machine.magnet_flux

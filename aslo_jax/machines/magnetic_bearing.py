@@ -1,22 +1,25 @@
 """`kind = "magnetic_bearing"`: one axis of an active magnetic bearing."""
 
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from ..filters import LowPass
 from ..guard import Guard
-from ..logs import Signals
-from ..observers import AlgebraicObserver, BearingObserver
+from ..logs import Log, Signals
+from ..observers import AbstractObserver, AlgebraicObserver, BearingObserver
 from ..plants import MagneticBearing
 from . import keys
 from .base import (
     AbstractDescription,
+    Columns,
     Layout,
     Positive,
     Quantity,
     Rate,
+    Rates,
     Table,
     certified,
     in_columns,
@@ -105,32 +108,32 @@ class MagneticBearingDescription(
     }
     longest_interval = 5e-3
 
-    def plant(self):
+    def plant(self) -> MagneticBearing:
         table = self.machine.model_dump(exclude={"kind", "resistance"})
         return MagneticBearing(np.asarray(self.machine.resistance), **table)
 
-    def default_rates(self, log, stated):
+    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
         defaults = {
             "cutoff": Rate(CUTOFF, "by default"),
             "velocity_cutoff": Rate(VELOCITY_CUTOFF, "by default"),
         }
         return {name: rate for name, rate in defaults.items() if name not in stated}
 
-    def state_observer(self, rates):
+    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         guard = Guard(threshold=self.observer.threshold)
         flux = AlgebraicObserver(
             self.plant().flux_relation(), LowPass(rates["cutoff"].value), guard=guard
         )
         return BearingObserver(flux, LowPass(rates["velocity_cutoff"].value), guard)
 
-    def columns(self, estimate, log):
+    def columns(self, estimate: Any, log: Log) -> Columns:
         names = (*FLUX, "position", "velocity")
         return in_columns(names, estimate.value) | certified(estimate)
 
-    def truth(self, log):
+    def truth(self, log: Log) -> Columns:
         return log.truth
 
-    def residuals(self, columns, log):
+    def residuals(self, columns: Columns, log: Log) -> Columns:
         flux_1, flux_2 = (columns[name] for name in FLUX)
         one, two = log.y[:, 0] * flux_2, log.y[:, 1] * flux_1
         both = 4.0 * self.machine.gap / self.machine.force_constant * flux_1 * flux_2

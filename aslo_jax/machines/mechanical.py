@@ -6,9 +6,10 @@ from typing import Annotated, Any, Literal
 import jax
 from pydantic import Field, PrivateAttr, model_validator
 
+from ..plants import AbstractMechanicalSystem
 from ..structure import Structure, structure_of
 from ._python import load_system
-from .base import Table, key
+from .base import Layout, Table, key
 from .mechanism import AbstractMechanism, layout
 
 OPEN = "here two coordinates, of which q2 is an angle, and two inputs: the system decides"
@@ -47,13 +48,13 @@ class MechanicalDescription(AbstractMechanism[MechanicalTable]):
             raise ValueError(f"`machine.system`, {self.machine.system}: {error}") from error
         return self
 
-    def plant(self):
+    def plant(self) -> AbstractMechanicalSystem:
         return self._system
 
     def form(self) -> Structure:
         return self._form
 
-    def columns_of_log(self):
+    def columns_of_log(self) -> Layout:
         q = self._system.initial().position
         inputs = jax.eval_shape(self._system.no_input, q).shape[0]
         return layout(self._system.angles or (False,) * q.shape[0], inputs)

@@ -1,8 +1,8 @@
 """What every mechanical system has in common: positions and forces in, velocities out."""
 
 import abc
-from collections.abc import Sequence
-from typing import Annotated, ClassVar, Generic, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -12,17 +12,19 @@ from ..completions import LeastSquares, Repeat
 from ..filters import LowPass
 from ..guard import Guard
 from ..logs import Log, Signals
-from ..observers import Unwrapped, VelocityObserver, velocity_observer
+from ..observers import AbstractObserver, Unwrapped, VelocityObserver, velocity_observer
 from ..plants import AbstractMechanicalSystem
 from ..structure import Structure, decay_rate, structure_of
 from . import keys
 from .base import (
     AbstractDescription,
+    Columns,
     Layout,
     MachineError,
     Positive,
     Quantity,
     Rate,
+    Rates,
     Table,
     certified,
     key,
@@ -104,7 +106,7 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
         """The form of its observer."""
         return structure_of(self.plant())
 
-    def default_rates(self, log, stated):
+    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
         fastest = self._fastest_decay()
         if "cutoff" in stated:
             if stated["cutoff"] <= fastest:
@@ -121,7 +123,7 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
             cutoff, why = 2.0 * fastest, "twice the varying friction over its inertia"
         return {"cutoff": Rate(cutoff, why)}
 
-    def condensed(self, log):
+    def condensed(self, log: Log) -> Log:
         return Log(log.t, np.zeros((log.t.size, 0)), log.y, {})
 
     def _fastest_decay(self) -> float:
@@ -130,7 +132,7 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
         decays = [decay_rate(self.plant(), j)[1] for j, f in friction if f == "varying"]
         return max((float(decay.max()) for decay in decays), default=0.0)
 
-    def state_observer(self, rates):
+    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         settings, system = self.observer, self.plant()
         gain = rates.get("gain")
         averaged = settings.completion == "least-squares"
@@ -148,16 +150,16 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
         each = inner.velocities
         return Unwrapped(each, system.angles) if any(system.angles) else each
 
-    def columns(self, estimate, log):
+    def columns(self, estimate: Any, log: Log) -> Columns:
         velocities = {name: np.asarray(e.value)[:, 0] for name, e in estimate.items()}
         for name, each in estimate.items():
             velocities |= certified(each, f"_{name}")
         return velocities
 
-    def truth(self, log):
+    def truth(self, log: Log) -> Columns:
         return {name.removesuffix("_true"): column for name, column in log.truth.items()}
 
-    def residuals(self, columns, log):
+    def residuals(self, columns: Columns, log: Log) -> Columns:
         found, steps = {}, np.diff(log.t)
         for quantity, q in zip(self.quantities, self.unwrapped(log).T, strict=True):
             velocity = columns[quantity.columns[0]]

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from ..plants import RoboticLeg
+from ..plants import AbstractMechanicalSystem, RoboticLeg
 from .base import Positive, Table, key
 from .mechanism import AbstractMechanism, Three, layout
 
@@ -35,5 +35,5 @@ class RoboticLegDescription(AbstractMechanism[RoboticLegTable]):
         "and body",
     )
 
-    def plant(self):
+    def plant(self) -> AbstractMechanicalSystem:
         return RoboticLeg(**self.machine.model_dump(exclude={"kind"}))

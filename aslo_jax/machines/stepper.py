@@ -1,12 +1,25 @@
 """`kind = "stepper"`: the two-phase permanent-magnet stepper motor."""
 
-from typing import ClassVar, Literal
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from ..logs import Log
+from ..observers import AbstractObserver
 from ..plants import Stepper
 from . import motor
-from .base import AbstractDescription, Positive, Table, Whole, algebraic, key
+from .base import (
+    AbstractDescription,
+    Columns,
+    Positive,
+    Rate,
+    Rates,
+    Table,
+    Whole,
+    algebraic,
+    key,
+)
 
 
 class StepperTable(Table):
@@ -38,16 +51,16 @@ class StepperDescription(AbstractDescription[StepperTable, motor.MotorObserver])
     refused: ClassVar = {}
     longest_interval = motor.LONGEST_INTERVAL
 
-    def plant(self):
+    def plant(self) -> Stepper:
         return Stepper(**self.machine.model_dump(exclude={"kind"}))
 
-    def default_rates(self, log, stated):
+    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
         return motor.motor_rates(log, stated)
 
-    def condensed(self, log):
+    def condensed(self, log: Log) -> Log:
         return motor.driving(log, self.machine.resistance)
 
-    def state_observer(self, rates):
+    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         settings = self.observer
         return algebraic(
             self.plant().flux_relation(),
@@ -58,14 +71,14 @@ class StepperDescription(AbstractDescription[StepperTable, motor.MotorObserver])
             gain=rates.get("gain"),
         )
 
-    def columns(self, estimate, log):
+    def columns(self, estimate: Any, log: Log) -> Columns:
         magnet = np.asarray(estimate.value) - self.machine.inductance * log.y
         return motor.motor_columns(estimate, magnet)
 
-    def truth(self, log):
+    def truth(self, log: Log) -> Columns:
         return motor.motor_truth(log, self.machine.pole_pairs)
 
-    def residuals(self, columns, log):
+    def residuals(self, columns: Columns, log: Log) -> Columns:
         magnet = motor.flux_of(columns) - self.machine.inductance * log.y
         size = np.linalg.norm(magnet, axis=1)
         return {"flux": np.abs(size / float(self.plant().magnet_flux) - 1.0)}

@@ -1,21 +1,24 @@
 """`kind = "wrim"`: the wound-rotor induction machine."""
 
 import math
-from typing import ClassVar, Literal
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import model_validator
 
 from ..logs import Log, Signals
-from ..observers import SideBySide
+from ..observers import AbstractObserver, SideBySide
 from ..plants import WRIM
 from . import keys
 from .base import (
     AbstractDescription,
+    Columns,
     Layout,
     Positive,
     Quantity,
     Rate,
+    Rates,
     Table,
     Whole,
     algebraic,
@@ -104,10 +107,10 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
     refused: ClassVar = {"pll_bandwidth": NO_ANGLE}
     longest_interval = 5e-3
 
-    def plant(self):
+    def plant(self) -> WRIM:
         return WRIM(**self.machine.model_dump(exclude={"kind"}))
 
-    def default_rates(self, log, stated):
+    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
         if "cutoff" in stated:
             rotor = stated.get("rotor_cutoff", stated["cutoff"])
             return {} if "rotor_cutoff" in stated else {"rotor_cutoff": Rate(rotor)}
@@ -121,13 +124,13 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
             rates["rotor_cutoff"] = Rate(cutoff_for(rotor), why(f"{rotor:.4g}"))
         return rates
 
-    def condensed(self, log):
+    def condensed(self, log: Log) -> Log:
         R_s, R_r = self.machine.stator_resistance, self.machine.rotor_resistance
         v = -np.repeat([R_s, R_r], 2) * log.y
         v[:, : log.u.shape[1]] += log.u
         return Log(log.t, v, np.zeros((log.t.size, 0)), {})
 
-    def state_observer(self, rates):
+    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         settings, plant = self.observer, self.plant()
 
         def observer(winding, cutoff):
@@ -144,15 +147,15 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
         rotor = observer("rotor", rates["rotor_cutoff"])
         return SideBySide({"stator": stator, "rotor": rotor})
 
-    def columns(self, estimate, log):
+    def columns(self, estimate: Any, log: Log) -> Columns:
         stator, rotor = estimate["stator"], estimate["rotor"]
         fluxes = in_columns(STATOR, stator.value) | in_columns(ROTOR, rotor.value)
         return fluxes | certified(stator, "_s") | certified(rotor, "_r")
 
-    def truth(self, log):
+    def truth(self, log: Log) -> Columns:
         return log.truth
 
-    def residuals(self, columns, log):
+    def residuals(self, columns: Columns, log: Log) -> Columns:
         machine, found = self.machine, {}
         i_s, i_r = log.y[:, :2].T, log.y[:, 2:].T
         for name, names, L, own, other in (

@@ -5,16 +5,16 @@ import dataclasses
 from collections.abc import Callable, Iterable
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._checks import unlike
+from .._module import Module
 from .._typing import PyTree
 from ..experiment import Record
 
 
-class AbstractMetric(eqx.Module):
+class AbstractMetric(Module):
     """A reduction of the records of an experiment, in the order of time.
 
     It runs inside the loop of every engine, so `update` should be elementwise arithmetic on
@@ -42,10 +42,10 @@ class AbstractComposed(AbstractMetric):
     def inner(self) -> AbstractMetric:
         """The metric that runs."""
 
-    def init(self, record):
+    def init(self, record: Record) -> PyTree:
         return self.inner().init(record)
 
-    def update(self, state, record):
+    def update(self, state: PyTree, record: Record) -> PyTree:
         return self.inner().update(state, record)
 
 

@@ -41,7 +41,7 @@ class AlgebraicObserver(AbstractObserver):
     start: FilterStart = eqx.field(static=True, default="exact")
     initial: Float[Array, " n"] | None = eqx.field(converter=optional_real, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         known_start(self.start)
         if not callable(self.relation):
             kind("relation", self.relation, hint="a relation, `relation(u, y)`")

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import known_start, optional_real, real
+from .._module import Module
 from .._small import safe_reciprocal
 from .._typing import FilterStart, PyTree
 from ..completions import AbstractCompletion, LeastSquares
@@ -42,7 +43,7 @@ def rotor_angle(
     return electrical_angle(flux - inductance * current) / pole_pairs
 
 
-class MagnetAngle(eqx.Module):
+class MagnetAngle(Module):
     """For [`Staged`][]: the electrical angle as the measurement of the second stage, from a
     first one that estimates the stator flux, or the magnet's when `inductance` (H) is 0."""
 
@@ -95,7 +96,7 @@ class AlgebraicMagnet(AbstractObserver):
     start: FilterStart = eqx.field(static=True, default="exact")
     initial: Float[Array, " 2"] | None = eqx.field(converter=optional_real, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         known_start(self.start)
         check_filter(self.filter)
 

@@ -5,18 +5,18 @@ import typing
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Generic
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._checks import kind, positive
+from .._module import Module
 from .._signals import check_signals
 from .._typing import PyTree
 from ..realise import Advance, Flow, Pass, Start, States
 
 
-class Estimate(eqx.Module):
+class Estimate(Module):
     """An estimate and what is known about it.
 
     - `value`: the estimated states, shape `(n,)`, in their own units;
@@ -31,7 +31,7 @@ class Estimate(eqx.Module):
     coasting: Bool[Array, "*batch"]
 
 
-class ObserverState(eqx.Module):
+class ObserverState(Module):
     """The state of an observer, a value: save it, restore it, batch it.
 
     - `states`: every filter and other state, by name;
@@ -56,7 +56,7 @@ else:
     Second = typing.TypeVar("Second")
 
 
-class AbstractObserver(eqx.Module, Generic[Est]):
+class AbstractObserver(Module, Generic[Est]):
     """A state observer, written once as `equations` and run in continuous time
     (`vector_field`, `estimate`) or sampled (`step`). For type checkers it is generic in
     what it estimates: `AbstractObserver` is `AbstractObserver[Estimate]`.

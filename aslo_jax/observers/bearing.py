@@ -41,7 +41,7 @@ class BearingObserver(AbstractObserver):
     filter: LowPass
     guard: Guard | None = eqx.field(default_factory=Guard)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if not isinstance(self.flux.relation, BearingFluxRelation):
             raise ValueError(
                 "Argument `flux` must have a `BearingFluxRelation`, but got "

@@ -17,7 +17,7 @@ class SideBySide(AbstractObserver[dict[str, First]], Generic[First]):
 
     observers: dict[str, AbstractObserver[First]] = eqx.field(converter=named)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_observers(self.observers)
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> dict[str, First]:

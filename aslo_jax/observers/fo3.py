@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from .._checks import known_start, optional_real, positive, real
 from .._small import safe_reciprocal, solve_rows
-from .._typing import FilterStart, PyTree
+from .._typing import FilterStart, PyTree, RealArray
 from ..filters import AbstractFilter, AbstractLaw, check_filter
 from ..guard import Guard
 from ..realise import Pass
@@ -33,20 +33,20 @@ class _Mixing(AbstractLaw):
 
     gain: Float[Array, ""]
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
         return v.rate + self._correction(X, v, self.gain)
 
     def _correction(self, X: Array, v: _Drive, weight: Array) -> Array:
         return weight * v.determinant * (v.numerator - v.determinant * X)
 
-    def discretise(self, h):
+    def discretise(self, h: RealArray | float) -> PyTree:
         return jnp.asarray(h, self.gain.dtype)
 
     def _correct(self, X: Array, v: _Drive, h: Array) -> Array:
         rate = self.gain * v.determinant**2
         return X + self._correction(X, v, self.gain * relaxation(rate, h))
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         half = 0.5 * coefficients
         X = self._correct(X, v0, half)
         return self._correct(X + half * (v0.rate + v1.rate), v1, half)
@@ -75,7 +75,7 @@ class FO3(AbstractObserver):
     start: FilterStart = eqx.field(static=True, default="exact")
     initial: Float[Array, " n"] | None = eqx.field(converter=optional_real, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("gain", self.gain, "1/s over the square of the determinant")
         known_start(self.start)
         check_filter(self.filter)

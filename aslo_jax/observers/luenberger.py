@@ -33,7 +33,7 @@ class ReducedLuenberger(AbstractObserver):
     gain: Float[Array, "k p"] = eqx.field(converter=real)
     initial: Float[Array, " k"] | None = eqx.field(converter=optional_real, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if jnp.ndim(self.gain) != 2 or sum(jnp.shape(self.gain)) != jnp.shape(self.A)[-1]:
             raise ValueError(
                 "Argument `gain` must have shape (n - p, p) for n states of which p are "

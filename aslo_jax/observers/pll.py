@@ -27,7 +27,7 @@ class PhaseLockedLoop(AbstractObserver):
 
     bandwidth: Float[Array, ""] = eqx.field(converter=real)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("bandwidth", self.bandwidth, "rad/s")
 
     def equations(self, F: Pass, u: PyTree, y: Float[Array, ""]) -> Estimate:

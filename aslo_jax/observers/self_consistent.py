@@ -47,7 +47,7 @@ class SelfConsistent(AbstractObserver):
     guard: Guard = eqx.field(default_factory=Guard)
     forget: bool = eqx.field(static=True, default=False)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("gain", self.gain, "rad/s")
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import is_concrete, optional_real
+from .._module import Module
 from .._typing import PyTree
 from ..completions import Repeat
 from ..filters import AbstractFilter, LowPass
@@ -22,7 +23,7 @@ from .base import AbstractObserver, Estimate
 from .unwrapped import Unwrapped
 
 
-class MomentumRelation(eqx.Module):
+class MomentumRelation(Module):
     """The rate relation of one coordinate's momentum. With the inertia `m(q)` of coordinate
     j and its generalised force f, friction not included,
 

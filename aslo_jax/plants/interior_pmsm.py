@@ -8,12 +8,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real, whole
+from .._module import Module
 from .._small import safe_rsqrt
+from .._typing import RealArray
 from ..relations import Quadratic
-from .machine import AbstractMachine, direction, no_load
+from .machine import AbstractMachine, Inductance, direction, no_load
 
 
-class SalientFluxRelation(eqx.Module):
+class SalientFluxRelation(Module):
     """`(phi - Ld i)'(phi - Lq i) = m (m + (Ld - Lq) i_d)`: the stator flux phi (Wb) of an
     interior PMSM from stator voltage u (V) and current i (A), all of shape `(2,)`.
 
@@ -57,7 +59,7 @@ class SalientFluxRelation(eqx.Module):
         return flux - self.quadrature_inductance * y
 
 
-class SelfConsistentFluxRelation(eqx.Module):
+class SelfConsistentFluxRelation(Module):
     """The relation of an interior PMSM with the d current seen by an estimate of the flux:
     `i_d = x_a'i/|x_a|`, `x_a = flux - Lq i`, which is within +-|i| whatever the estimate.
 
@@ -102,7 +104,7 @@ class InteriorPMSM(AbstractMachine):
     load: Callable[[Float[Array, ""]], Float[Array, ""]] = no_load
     torque_factor: Float[Array, ""] = eqx.field(converter=real, default=1.5)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("resistance", self.resistance, "ohm")
         positive("direct_inductance", self.direct_inductance, "H")
         positive("quadrature_inductance", self.quadrature_inductance, "H")
@@ -125,19 +127,19 @@ class InteriorPMSM(AbstractMachine):
         )
         return cls(**(table | changes))
 
-    def inductances(self, theta):
+    def inductances(self, theta: RealArray) -> Inductance:
         Ld, Lq = self.direct_inductance, self.quadrature_inductance
         mean, half = 0.5 * (Ld + Lq), 0.5 * (Ld - Lq)
         a, b = half * direction(2.0 * theta)
         return jnp.stack([jnp.stack([mean + a, b]), jnp.stack([b, mean - a])])
 
-    def magnet(self, theta):
+    def magnet(self, theta: RealArray) -> RealArray:
         return self.magnet_flux * direction(theta)
 
-    def flux_rate(self, u, y):
+    def flux_rate(self, u: RealArray, y: RealArray) -> RealArray:
         return u - self.resistance * y
 
-    def detent(self, theta):
+    def detent(self, theta: RealArray) -> RealArray:
         return jnp.zeros_like(theta)
 
     def flux_relation(self) -> SalientFluxRelation:

@@ -8,11 +8,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real, whole
+from .._module import Module
+from .._typing import RealArray
 from ..relations import Quadratic
-from .machine import AbstractMachine, direction, no_load
+from .machine import AbstractMachine, Inductance, direction, no_load
 
 
-class FluxRelation(eqx.Module):
+class FluxRelation(Module):
     """`|phi - L i|^2 = m^2`: the stator flux phi (Wb) from stator voltage u (V) and stator
     current i (A), all of shape `(2,)`, in the stationary amplitude-invariant frame. Of any
     motor with round magnets and no saliency: PMSM, two-phase stepper.
@@ -61,7 +63,7 @@ class PMSM(AbstractMachine):
     load: Callable[[Float[Array, ""]], Float[Array, ""]] = no_load
     torque_factor: Float[Array, ""] = eqx.field(converter=real, default=1.5)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("resistance", self.resistance, "ohm")
         positive("inductance", self.inductance, "H")
         positive("magnet_flux", self.magnet_flux, "Wb")
@@ -80,16 +82,16 @@ class PMSM(AbstractMachine):
         )
         return cls(**(table | changes))
 
-    def inductances(self, theta):
+    def inductances(self, theta: RealArray) -> Inductance:
         return self.inductance
 
-    def magnet(self, theta):
+    def magnet(self, theta: RealArray) -> RealArray:
         return self.magnet_flux * direction(theta)
 
-    def flux_rate(self, u, y):
+    def flux_rate(self, u: RealArray, y: RealArray) -> RealArray:
         return u - self.resistance * y
 
-    def detent(self, theta):
+    def detent(self, theta: RealArray) -> RealArray:
         return jnp.zeros_like(theta)
 
     def flux_relation(self) -> FluxRelation:

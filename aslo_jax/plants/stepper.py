@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real, whole
-from .machine import AbstractMachine, direction, no_load
+from .._typing import RealArray
+from .machine import AbstractMachine, Inductance, direction, no_load
 from .pmsm import FluxRelation
 
 
@@ -40,7 +41,7 @@ class Stepper(AbstractMachine):
     load: Callable[[Float[Array, ""]], Float[Array, ""]] = no_load
     torque_factor: Float[Array, ""] = eqx.field(converter=real, default=1.0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("resistance", self.resistance, "ohm")
         positive("inductance", self.inductance, "H")
         positive("torque_constant", self.torque_constant, "N m/A")
@@ -68,16 +69,16 @@ class Stepper(AbstractMachine):
         """What the magnet links with a phase (Wb)."""
         return self.torque_constant / self.pole_pairs
 
-    def inductances(self, theta):
+    def inductances(self, theta: RealArray) -> Inductance:
         return self.inductance
 
-    def magnet(self, theta):
+    def magnet(self, theta: RealArray) -> RealArray:
         return self.magnet_flux * direction(theta)
 
-    def flux_rate(self, u, y):
+    def flux_rate(self, u: RealArray, y: RealArray) -> RealArray:
         return u - self.resistance * y
 
-    def detent(self, theta):
+    def detent(self, theta: RealArray) -> RealArray:
         return -self.detent_torque * jnp.sin(4.0 * theta)
 
     def flux_relation(self) -> FluxRelation:

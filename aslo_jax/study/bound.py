@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from .. import _choices, random
 from .._checks import one_of
+from .._module import Module
 from .._runge_kutta import runge_kutta
 from .._typing import Average, PyTree
 from ..disturbances import AbstractDisturbance, SampledNoise
@@ -25,7 +26,7 @@ from .tables import BOUND
 Square = Float[Array, "n n"]
 
 
-class Bound(eqx.Module):
+class Bound(Module):
     """The bound at the instants `t` (s) of the samples in time, shape `(T,)`: `variance` of
     each entry of the hidden state in its squared unit, shape `(N, T, m)`, for N
     trajectories, or one where they were averaged before."""
@@ -144,7 +145,7 @@ def with_bound(dataset: Any, bound: Bound, after: Mapping[str, float]) -> Any:
     return dataset
 
 
-class _Model(eqx.Module):
+class _Model(Module):
     """The discrete-time model of one sample, linearised about its trajectory."""
 
     make: Callable[[PyTree], Experiment]
@@ -196,7 +197,7 @@ class _Model(eqx.Module):
         return H / jnp.sqrt(R)[:, None], C
 
 
-class _Along(eqx.Module):
+class _Along(Module):
     """The bound along the trajectory of one sample, as an experiment that an engine runs:
     its carry is the experiment's and P, its record the variances of what is hidden."""
 

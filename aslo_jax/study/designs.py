@@ -67,7 +67,7 @@ def _generator(seed: int) -> np.random.Generator:
 class _Sobol:
     """Goes on from where it was where that is possible, and else starts again."""
 
-    def __init__(self, names: Sequence[str], seed: int):
+    def __init__(self, names: Sequence[str], seed: int) -> None:
         self.dimension, self.seed = len(names), seed
         self.engine, self.position = self._start(), 0
         self.lock = threading.Lock()
@@ -100,7 +100,7 @@ class _Sobol:
 
 
 class _LatinHypercube:
-    def __init__(self, names: Sequence[str], seed: int, samples: int):
+    def __init__(self, names: Sequence[str], seed: int, samples: int) -> None:
         from scipy.stats import qmc
 
         sampler = qmc.LatinHypercube(len(names), rng=_generator(seed))

@@ -198,7 +198,7 @@ def _metric(axes, table):
         axes.set_xlim(left=0.0)
 
 
-def _histogram(axes, values):
+def _histogram(axes, values) -> None:
     distinct = np.unique(values[:10_000])
     if distinct.size <= 12:
         counts = [(values == x).sum() for x in distinct]
@@ -215,7 +215,7 @@ def _histogram(axes, values):
         axes.locator_params(axis="x", nbins=4)
 
 
-def _scale(axes, which, series):
+def _scale(axes, which, series) -> None:
     """A logarithmic axis where what is drawn spans decades, from what is positive."""
     x = np.concatenate([np.ravel(s) for s in series])
     positive = x[np.isfinite(x) & (x > 0)]
@@ -230,7 +230,7 @@ def _scale(axes, which, series):
         _label_decades(axes.xaxis if which == "x" else axes.yaxis, positive.max() / least)
 
 
-def _label_decades(axis, ratio):
+def _label_decades(axis, ratio) -> None:
     """Labels that do not run into each other, however few decades there are."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 

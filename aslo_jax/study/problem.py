@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._module import Module
 from .._typing import Engine
 from ..engines import Runner
 from ..experiment import Experiment, Record
@@ -46,7 +47,7 @@ class Problem:
     units: dict[str, str]
     entries: tuple[str, ...] | None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not self.experiment.observers:
             raise ValueError("Argument `experiment` must have an observer, but has none.")
         if self.every is not None and (self.every < 1 or self.steps % self.every):
@@ -64,7 +65,7 @@ class Problem:
         return list(self.experiment.observers)
 
 
-class ErrorNorms(eqx.Module):
+class ErrorNorms(Module):
     """The norm of the error of every observer, or of the error over `scale`."""
 
     observers: tuple[str, ...] = eqx.field(static=True)
@@ -83,7 +84,7 @@ class Study:
     """A problem, traced: `schema` of its results, and [`Study.chunk`][] of them. It can be
     sent to other processes; what is not compiled yet is compiled there."""
 
-    def __init__(self, problem: Problem, threads: int | None = None):
+    def __init__(self, problem: Problem, threads: int | None = None) -> None:
         self.problem = problem
         self.sampler = Sampler(
             problem.experiment, problem.spread, problem.seed, problem.samples

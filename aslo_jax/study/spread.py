@@ -50,12 +50,12 @@ class Spread:
         self,
         parameters: Mapping[str, Parameter | tuple[Any, AbstractDistribution]],
         design: DesignName = "iid",
-    ):
+    ) -> None:
         if design not in DESIGNS:
             allowed = " or ".join(f'"{name}"' for name in DESIGNS)
             raise ValueError(f"Argument `design` must be {allowed}, but got {design!r}.")
         self.design: DesignName = design
-        self.parameters = {
+        self.parameters: dict[str, Parameter] = {
             name: each if isinstance(each, Parameter) else Parameter(*each)
             for name, each in parameters.items()
         }
@@ -72,7 +72,9 @@ class Sampler:
     - `names`: of the numbers drawn.
     """
 
-    def __init__(self, experiment: Experiment, spread: Spread, seed: int, samples: int):
+    def __init__(
+        self, experiment: Experiment, spread: Spread, seed: int, samples: int
+    ) -> None:
         layout = Layout(experiment)
         self.names: list[str] = []
         places: list[tuple[Place, ...]] = []

@@ -34,7 +34,7 @@ class Coordinates:
         where: Callable[[PyTree], Any],
         bounds: Bound | Sequence[Bound | None] | None,
         scale: Scale | Sequence[Scale],
-    ):
+    ) -> None:
         leaves = where(tree)
         self.single = eqx.is_array_like(leaves)
         self.leaves = [jnp.asarray(x) for x in ([leaves] if self.single else leaves)]

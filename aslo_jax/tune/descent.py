@@ -50,7 +50,7 @@ class History(NamedTuple):
 class Descent:
     """An optimiser at work on one function: compiled once, for any start and data."""
 
-    def __init__(self, slope: Slope, optimiser: Any, limits: Limits):
+    def __init__(self, slope: Slope, optimiser: Any, limits: Limits) -> None:
         import optax
 
         self.slope, self.limits = slope, limits

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from .. import _choices, random
 from .._checks import one_of
+from .._module import Module
 from .._typing import Mode, PyTree, Scale, Stopped, UsedMode
 from .coordinates import Bound, Coordinates
 from .descent import Descent, History, Limits, progress_bar
@@ -23,7 +24,7 @@ FORWARD = 16
 Loss = AbstractLoss | Callable[[PyTree, random.Key], Float[Array, ""]]
 
 
-class Fitted(eqx.Module):
+class Fitted(Module):
     """What [`fit`][] returns.
 
     - `tree`: the given one with the tuned leaves;
@@ -53,7 +54,7 @@ class Fitted(eqx.Module):
         """Of the best descent."""
         return self.histories[self.best]
 
-    def __str__(self):
+    def __str__(self) -> str:
         values = ", ".join(f"{x:.6g}" for x in self.parameters)
         return (
             f"{self.stopped} after {len(self.history.loss) - 1} iterations "

@@ -35,7 +35,7 @@ class Fused:
         every: int,
         threads: int | None,
         otherwise: Callable[[Exception, PyTree], Batch] | None = None,
-    ):
+    ) -> None:
         self.plan, self.steps, self.every, self.threads = plan, steps, every, threads
         self.otherwise = otherwise
         self.sample, self.tree = jax.tree.flatten(like)

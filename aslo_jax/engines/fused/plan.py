@@ -3,14 +3,13 @@
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
-
+from ..._module import Module
 from ..._typing import PyTree
 from ...experiment import Experiment, Record
 from ...metrics import AbstractMetric
 
 
-class Batch(eqx.Module):
+class Batch(Module):
     """The results of `N` experiments, every leaf with a leading axis of length N.
 
     - `metrics`: by name, and then by observer where a metric was asked for of each;
@@ -22,7 +21,7 @@ class Batch(eqx.Module):
     record: PyTree
 
 
-class Plan(eqx.Module):
+class Plan(Module):
     """The loop of one sample: its state is the experiment's carry and that of the metrics,
     its output what is kept of a record."""
 

@@ -49,7 +49,7 @@ def replay_fused(
 class _Replay:
     """The replay of a batch of logs as a function of arrays with any axes in front."""
 
-    def __init__(self, rest: PyTree, tree: Any, ranks: list[int], substeps: int):
+    def __init__(self, rest: PyTree, tree: Any, ranks: list[int], substeps: int) -> None:
         self.rest, self.tree, self.ranks, self.substeps = rest, tree, ranks, substeps
 
     def shapes(self, leaves: list[Any]) -> Any:

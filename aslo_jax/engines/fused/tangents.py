@@ -27,7 +27,7 @@ class Derivative:
         sample: list[jax.ShapeDtypeStruct],
         values: Program,
         moved: list[int],
-    ):
+    ) -> None:
         self.plan, self.made, self.sample, self.moved = plan, made, sample, moved
         state = jax.eval_shape(lambda leaves: plan.first(made(leaves))[0], sample)
         self.state_leaves, self.state_tree = jax.tree.flatten(state)

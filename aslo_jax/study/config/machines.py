@@ -56,10 +56,10 @@ class DoubleIntegrator(AbstractMachineTable):
     entries = ("speed",)
     units = ("m/s",)
 
-    def plant(self):
+    def plant(self) -> AbstractPlant:
         return IntegratorChain(2)
 
-    def start(self, plant):
+    def start(self, plant: AbstractPlant) -> Any:
         del plant
         return jnp.array([self.position, self.speed], float)
 
@@ -82,11 +82,11 @@ class PMSMMachine(PMSMTable, AbstractMachineTable):
     entries = ("flux_alpha", "flux_beta")
     units = ("Wb", "Wb")
 
-    def plant(self):
+    def plant(self) -> AbstractPlant:
         table = self.model_dump(exclude={"kind", "load", "initial"})
         return PMSM(**table, load=self.load.signal())
 
-    def start(self, plant):
+    def start(self, plant: AbstractPlant) -> Any:
         return _changed(plant, self.initial)
 
 
@@ -100,11 +100,11 @@ class WRIMMachine(WRIMTable, AbstractMachineTable):
     entries = ("flux_s_alpha", "flux_s_beta", "flux_r_alpha", "flux_r_beta")
     units = ("Wb",) * 4
 
-    def plant(self):
+    def plant(self) -> AbstractPlant:
         table = self.model_dump(exclude={"kind", "load", "initial"})
         return WRIM(**table, load=self.load.signal())
 
-    def start(self, plant):
+    def start(self, plant: AbstractPlant) -> Any:
         return _changed(plant, self.initial)
 
 
@@ -123,10 +123,10 @@ class RoboticLegMachine(RoboticLegTable, AbstractMachineTable):
     entries = ("length", "leg", "body")
     units = ("m/s", "rad/s", "rad/s")
 
-    def plant(self):
+    def plant(self) -> AbstractPlant:
         return RoboticLeg(**self.model_dump(exclude={"kind", "initial"}))
 
-    def start(self, plant):
+    def start(self, plant: AbstractPlant) -> Any:
         return _changed(plant, self.initial)
 
 
@@ -138,10 +138,10 @@ class BallBeamMachine(BallBeamTable, AbstractMachineTable):
     entries = ("ball", "beam")
     units = ("m/s", "rad/s")
 
-    def plant(self):
+    def plant(self) -> AbstractPlant:
         return BallBeam(**self.model_dump(exclude={"kind", "initial"}))
 
-    def start(self, plant):
+    def start(self, plant: AbstractPlant) -> Any:
         return _changed(plant, self.initial)
 
 
@@ -163,12 +163,12 @@ class MagneticBearingMachine(MagneticBearingTable, AbstractMachineTable):
     entries = ("flux_1", "flux_2", "position", "velocity")
     units = ("Wb", "Wb", "m", "m/s")
 
-    def plant(self):
+    def plant(self) -> AbstractPlant:
         table = self.model_dump(exclude={"kind", "resistance", "force", "initial"})
         resistance = np.asarray(self.resistance, float)
         return MagneticBearing(resistance, **table, force=self.force.signal())
 
-    def start(self, plant):
+    def start(self, plant: AbstractPlant) -> Any:
         return _changed(plant, self.initial)
 
 

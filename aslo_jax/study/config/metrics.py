@@ -53,10 +53,10 @@ class RMSTable(AbstractErrorTable):
 
     kind: Literal["rms"] = key("the kind of metric")
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         return functools.partial(metrics.RMSError, **self.settings())
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return _joined(units)
 
 
@@ -65,10 +65,10 @@ class PeakTable(AbstractErrorTable):
 
     kind: Literal["peak"] = key("the kind of metric")
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         return functools.partial(metrics.PeakError, **self.settings())
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return _joined(units)
 
 
@@ -77,10 +77,10 @@ class IntegralTable(AbstractErrorTable):
 
     kind: Literal["integral_squared"] = key("the kind of metric")
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         return functools.partial(metrics.IntegralSquaredError, **self.settings())
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return _joined(tuple(f"({unit})^2 s" for unit in units))
 
 
@@ -90,10 +90,10 @@ class FinalTable(AbstractMetricTable):
     kind: Literal["final"] = key("the kind of metric")
     norm: bool = key("of the whole error, not of each entry", default=False)
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         return functools.partial(metrics.FinalError, **_norm(self.norm))
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return _joined(units)
 
 
@@ -103,10 +103,10 @@ class SettlingTable(AbstractMetricTable):
     kind: Literal["settling"] = key("the kind of metric")
     tolerance: Positive = key("of the norm of the error, in its units")
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         return functools.partial(metrics.SettlingTime, tolerance=self.tolerance)
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return "s"
 
 
@@ -118,7 +118,7 @@ class AngleTable(AbstractMetricTable):
 
     machines = MOTORS
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         peak = self.kind == "peak_angle"
         metric = metrics.PeakAngleError if peak else metrics.AngleError
         truth = metrics.RotorAngle(plant.pole_pairs)
@@ -129,7 +129,7 @@ class AngleTable(AbstractMetricTable):
 
         return make
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return "electrical degrees"
 
 
@@ -138,10 +138,10 @@ class CoastingTable(AbstractMetricTable):
 
     kind: Literal["coasting"] = key("the kind of metric")
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         return metrics.CoastingFraction
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return "1"
 
 
@@ -152,11 +152,11 @@ class DivergedTable(AbstractMetricTable):
     bound: Positive = key("of the norm of the error, in its units")
     after: NonNegative = key("when it begins to count", "s", default=0.0)
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         settings = dict(bound=self.bound, after=self.after)
         return functools.partial(metrics.Diverged, **settings)
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return "1"
 
 

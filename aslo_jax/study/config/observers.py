@@ -69,7 +69,7 @@ class AlgebraicTable(AbstractObserverTable):
 
     machines = (*RELATIONS, *MECHANISMS, "magnetic_bearing")
 
-    def build(self, plant, start):
+    def build(self, plant: Any, start: Any) -> AbstractObserver:
         return algebraic(self, plant, None)
 
 
@@ -81,7 +81,7 @@ class AsymptoticTable(AlgebraicTable):
 
     machines = (*RELATIONS, *MECHANISMS)
 
-    def build(self, plant, start):
+    def build(self, plant: Any, start: Any) -> AbstractObserver:
         return algebraic(self, plant, self.gain)
 
 
@@ -133,7 +133,7 @@ class FO1Table(AbstractObserverTable):
 
     machines = MOTORS
 
-    def build(self, plant, start):
+    def build(self, plant: Any, start: Any) -> AbstractObserver:
         return FO1(plant.flux_relation(), LowPass(self.cutoff), self.gain)
 
 
@@ -146,7 +146,7 @@ class FO2Table(AbstractObserverTable):
 
     machines = MOTORS
 
-    def build(self, plant, start):
+    def build(self, plant: Any, start: Any) -> AbstractObserver:
         return FO2(plant.flux_relation(), self.gain, self.one_sided)
 
 
@@ -159,7 +159,7 @@ class FO3Table(AbstractObserverTable):
 
     machines = FLUXES
 
-    def build(self, plant, start):
+    def build(self, plant: Any, start: Any) -> AbstractObserver:
         return _each(plant, lambda r: FO3(r, LowPass(self.cutoff), self.gain))
 
 
@@ -170,7 +170,7 @@ class IntegratorTable(AbstractObserverTable):
 
     machines = RELATIONS
 
-    def build(self, plant, start):
+    def build(self, plant: Any, start: Any) -> AbstractObserver:
         return _each(plant, OpenLoopIntegrator)
 
 
@@ -182,7 +182,7 @@ class LuenbergerTable(AbstractObserverTable):
 
     machines = ("double_integrator",)
 
-    def build(self, plant, start):
+    def build(self, plant: Any, start: Any) -> AbstractObserver:
         return ReducedLuenberger.of_chain(2, self.gain)
 
 
@@ -203,7 +203,7 @@ class KalmanTable(AbstractObserverTable):
 
     machines = ("double_integrator", *MOTORS, *MECHANISMS)
 
-    def build(self, plant, start):
+    def build(self, plant: Any, start: Any) -> AbstractObserver:
         process = jnp.asarray(self.process, float)
         if isinstance(plant, IntegratorChain):
             A, B, C = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]]
@@ -233,7 +233,7 @@ class HighGainTable(AbstractObserverTable):
 
     machines = MECHANISMS
 
-    def build(self, plant, start):
+    def build(self, plant: Any, start: Any) -> AbstractObserver:
         gain = jnp.asarray(self.bandwidth, float)
         return _unwrapped(HighGain(gain, plant if self.model else None), plant)
 
@@ -246,7 +246,7 @@ class SuperTwistingTable(AbstractObserverTable):
 
     machines = MECHANISMS
 
-    def build(self, plant, start):
+    def build(self, plant: Any, start: Any) -> AbstractObserver:
         return _unwrapped(SuperTwisting(jnp.asarray(self.bound, float)), plant)
 
 
@@ -258,7 +258,7 @@ class DerivativeTable(AbstractObserverTable):
 
     machines = MECHANISMS
 
-    def build(self, plant, start):
+    def build(self, plant: Any, start: Any) -> AbstractObserver:
         return _unwrapped(FilteredDerivative(LowPass(self.cutoff)), plant)
 
 
