@@ -5,7 +5,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.core
-import jax.numpy as jnp
 import numpy as np
 import wadler_lindig as wl
 
@@ -22,13 +21,14 @@ class Module(eqx.Module):
 
 def _value(x: Any) -> wl.AbstractDoc | None:
     """The value of an array, abbreviated as NumPy does; of what is traced, or a key, its
-    type and shape, which are the default."""
-    if isinstance(x, jax.core.Tracer) or not isinstance(x, jax.Array | np.ndarray):
+    type and shape, as equinox does."""
+    if not isinstance(x, jax.Array | np.ndarray):
         return None
-    if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) or x.dtype.kind not in "biufc":
-        return None
-    if isinstance(x, jax.Array) and (x.is_deleted() or not x.is_fully_addressable):
-        return None
+    hidden = isinstance(x, jax.core.Tracer) or getattr(x.dtype, "kind", "V") not in "biufc"
+    if isinstance(x, jax.Array) and not hidden:
+        hidden = x.is_deleted() or not x.is_fully_addressable
+    if hidden:
+        return wl.array_summary(x.shape, str(x.dtype), kind=None)
     values = np.asarray(x)
     if not values.shape:
         return wl.TextDoc(str(values[()]))

@@ -170,7 +170,7 @@ def simulate(
     input_sensor: AbstractDisturbance | None = None,
     feedback: Callable[[PyTree, PyTree, dict[str, Any]], PyTree] | None = None,
     solver: diffrax.AbstractSolver[Any] | None = None,
-    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
+    stepsize_controller: diffrax.AbstractStepSizeController[Any, Any] | None = None,
     dt0: float | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     max_steps: int = 100_000,
