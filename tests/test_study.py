@@ -50,6 +50,8 @@ def schema():
 
 
 def study_of(**changes) -> Study:
+    settings = studies.settings(**changes)
+    seed = aslo.random.seed_of(settings.pop("key"))
     problem = Problem(
         studies.experiment(),
         studies.SPREAD,
@@ -59,7 +61,8 @@ def study_of(**changes) -> Study:
         configuration=None,
         units={},
         entries=None,
-        **studies.settings(**changes),
+        seed=seed,
+        **settings,
     )
     return Study(problem)
 

@@ -18,7 +18,7 @@ from .robotic_leg import RoboticLegDescription
 from .stepper import StepperDescription
 from .wrim import WRIMDescription
 
-Kind = type[AbstractDescription]
+Kind = type[AbstractDescription[Any, Any]]
 
 KINDS: dict[str, Kind] = {
     description.kind: description
@@ -35,7 +35,7 @@ KINDS: dict[str, Kind] = {
 }
 
 
-def read_machine(path: Path | str) -> AbstractDescription:
+def read_machine(path: Path | str) -> AbstractDescription[Any, Any]:
     """Read and check the TOML file `path`; `kind = "mechanical"` runs the Python that it
     names.
 
