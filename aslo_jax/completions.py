@@ -15,6 +15,8 @@ from .filters import AbstractFilter, LowPass
 from .realise import Pass
 from .relations import Row, contract, settled, swap
 
+__all__ = ["AbstractCompletion", "FilterBank", "LeastSquares", "Repeat"]
+
 
 class AbstractCompletion(Module):
     """Completes a row to n independent ones and solves them.

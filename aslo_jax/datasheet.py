@@ -15,6 +15,18 @@ from typing import TYPE_CHECKING, TypeVar
 from ._checks import one_of
 from ._choices import Amplitude, Between, Connection, Per, Speed
 
+__all__ = [
+    "MISTAKES",
+    "RAD_PER_S_PER_KRPM",
+    "Quantity",
+    "agreed_flux",
+    "emf_from_flux",
+    "flux_from_emf",
+    "flux_from_torque",
+    "star_equivalent",
+    "torque_from_flux",
+]
+
 if TYPE_CHECKING:
     import jax
     import numpy as np

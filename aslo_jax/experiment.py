@@ -19,6 +19,8 @@ from .observers import AbstractObserver, ObserverState
 from .observers.base import Est, check_observers, named
 from .plants import AbstractPlant
 
+__all__ = ["Carry", "Experiment", "Record"]
+
 
 class Record(Module, Generic[Est]):
     """What an experiment records at `t` (s): the plant's state `x` and its `hidden` part,

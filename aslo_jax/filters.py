@@ -21,6 +21,19 @@ from ._module import Module
 from ._small import exponential_integrals
 from ._typing import PyTree, RealArray
 
+__all__ = [
+    "AbstractFilter",
+    "AbstractLaw",
+    "Integrator",
+    "LinearFilter",
+    "LinearSystem",
+    "LowPass",
+    "bias_rejecting",
+    "check_filter",
+    "second_order",
+    "sinusoid_rejecting",
+]
+
 
 class AbstractLaw(Module):
     """How one named state evolves, in continuous and in sampled time."""

@@ -11,6 +11,8 @@ from .filters import AbstractLaw
 from .realise import Pass
 from .relations import AbstractTerms
 
+__all__ = ["Guard", "Memory"]
+
 
 class Memory(AbstractLaw):
     """What an estimate coasts from, driven by `(value, certified, trust, rate)`.

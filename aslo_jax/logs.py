@@ -19,6 +19,20 @@ from ._log_checks import check_columns, check_finite, check_rows, check_time
 from ._log_columns import checked_mapping, select
 from ._log_files import READERS, Columns, LogError as LogError
 
+__all__ = [
+    "KEPT",
+    "MOTOR",
+    "SUFFIXES",
+    "Log",
+    "LogError",
+    "LogReader",
+    "Signals",
+    "TableWriter",
+    "check_suffix",
+    "read_log",
+    "write_table",
+]
+
 SUFFIXES = tuple(READERS)
 KEPT = 1 << 27  # bytes of a log that are kept from the first reading for the second
 

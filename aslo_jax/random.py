@@ -15,6 +15,18 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, UInt32
 
+__all__ = [
+    "Key",
+    "KeyLike",
+    "as_key",
+    "fold",
+    "key",
+    "normal",
+    "seed_of",
+    "threefry",
+    "uniform",
+]
+
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 
 Key = UInt32[Array, " 2"]

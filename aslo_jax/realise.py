@@ -16,6 +16,8 @@ from jaxtyping import Array, Float
 from ._typing import FilterStart, PyTree
 from .filters import AbstractFilter, AbstractLaw, Integrator
 
+__all__ = ["AbstractRealisation", "Advance", "Drive", "Flow", "Pass", "Start", "States"]
+
 States = dict[str, Any]
 Drive = PyTree | Callable[[PyTree], PyTree]
 

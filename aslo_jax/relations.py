@@ -19,6 +19,19 @@ from ._signals import check_signals
 from ._typing import PyTree
 from .realise import Pass
 
+__all__ = [
+    "AbstractTerms",
+    "Linear",
+    "Quadratic",
+    "Rate",
+    "Row",
+    "contract",
+    "filtered_rows",
+    "settled",
+    "swap",
+    "terms_of",
+]
+
 
 class Row(Module):
     """One row `r'x = b`, or a batch of them, with `x' = A x + z`."""

@@ -8,6 +8,8 @@ import jax
 
 from ._runge_kutta import runge_kutta as runge_kutta
 
+__all__ = ["RungeKutta4", "runge_kutta"]
+
 
 class RungeKutta4(diffrax.AbstractSolver[None]):
     """The classical fourth-order method with fixed steps, written out: it has no loop over

@@ -12,6 +12,17 @@ from jaxtyping import Float
 from ._checks import is_concrete
 from .plants import AbstractMechanicalSystem
 
+__all__ = [
+    "INSTEAD",
+    "POINTS",
+    "Friction",
+    "Region",
+    "Structure",
+    "StructureError",
+    "decay_rate",
+    "structure_of",
+]
+
 Friction = Literal["none", "constant", "varying"]
 Region = tuple[Any, Any]  # lowest and highest coordinates, each of shape (n,)
 

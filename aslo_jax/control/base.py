@@ -11,6 +11,8 @@ from .._module import Module
 from .._typing import PyTree, RealArray
 from ..plants import AbstractPlant
 
+__all__ = ["AbstractController", "OpenLoop", "controlled"]
+
 
 class AbstractController(Module):
     """From what it is fed to the input u, with a state of its own where it needs one.

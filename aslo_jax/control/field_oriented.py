@@ -12,6 +12,16 @@ from .._typing import PyTree, RealArray
 from ..plants import PMSM
 from .base import AbstractController
 
+__all__ = [
+    "CurrentState",
+    "FieldOriented",
+    "ForcedStart",
+    "ForcedState",
+    "MotorFeedback",
+    "across",
+    "rotate",
+]
+
 
 class MotorFeedback(Module):
     """What a motor controller is fed: `current` (A, stationary frame, shape `(2,)`), the

@@ -12,6 +12,8 @@ from .._typing import PyTree, RealArray
 from ..plants import MagneticBearing
 from .base import AbstractController
 
+__all__ = ["BearingFeedback", "MagneticLevitation"]
+
 
 class BearingFeedback(Module):
     """What a bearing controller is fed: `current` (A) and `flux` (Wb) of the coils, both of

@@ -14,6 +14,8 @@ from .._typing import PyTree, RealArray
 from ..plants import AbstractMechanicalSystem, BallBeam
 from .base import AbstractController
 
+__all__ = ["BallBeamTracking", "MechanicalFeedback", "Tracking"]
+
 
 class MechanicalFeedback(Module):
     """What a tracking controller is fed: the coordinates and their velocities, measured or

@@ -8,6 +8,14 @@ from jaxtyping import Array, Float
 from .._module import Module
 from .._typing import HostArray, PyTree, RealArray
 
+__all__ = [
+    "AbstractAtSamples",
+    "AbstractDisturbance",
+    "AbstractMemoryless",
+    "AbstractSampled",
+    "DisturbanceState",
+]
+
 
 class DisturbanceState(Module):
     """The state of a disturbance, a value: what is integrated beside the plant, and what is

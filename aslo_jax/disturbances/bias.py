@@ -9,6 +9,8 @@ from .._checks import real
 from .._typing import PyTree, RealArray
 from .base import AbstractMemoryless, AbstractSampled, DisturbanceState
 
+__all__ = ["Bias", "Drift", "RandomWalk"]
+
 
 class Bias(AbstractMemoryless):
     """Adds the constant `offset`, in the units of the signal: a scalar, or of its shape."""

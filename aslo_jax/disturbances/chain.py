@@ -9,6 +9,8 @@ import numpy as np
 from .._typing import HostArray, PyTree, RealArray
 from .base import AbstractDisturbance, DisturbanceState
 
+__all__ = ["Chain"]
+
 
 class Chain(AbstractDisturbance):
     """Passes the signal through `parts` in their order: `Chain(a, b)` is b of what a makes.

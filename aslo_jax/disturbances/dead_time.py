@@ -11,6 +11,8 @@ from .._checks import nonnegative, positive, real
 from .._typing import PyTree, RealArray
 from .base import AbstractMemoryless, DisturbanceState
 
+__all__ = ["SQRT3", "DeadTime", "first_two"]
+
 SQRT3 = math.sqrt(3.0)
 
 

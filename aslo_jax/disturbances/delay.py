@@ -11,6 +11,8 @@ from .._checks import is_concrete, real, whole
 from .._typing import PyTree, RealArray
 from .base import AbstractSampled, DisturbanceState
 
+__all__ = ["Delay"]
+
 
 class Delay(AbstractSampled):
     """Delays the signal s by `delay` samples, a number that may have a fraction and may be

@@ -7,6 +7,8 @@ from .._checks import real
 from .._typing import PyTree, RealArray
 from .base import AbstractMemoryless, DisturbanceState
 
+__all__ = ["GainError"]
+
 
 class GainError(AbstractMemoryless):
     """Multiplies the signal by `1 + error`; `error` is dimensionless, a scalar or of the

@@ -10,6 +10,8 @@ from .._checks import positive, real
 from .._typing import HostArray, PyTree, RealArray
 from .base import AbstractDisturbance, DisturbanceState
 
+__all__ = ["ParasiticLag"]
+
 
 class ParasiticLag(AbstractDisturbance):
     """Passes the signal through `tau x' = -x + signal`, x from zero; `tau` in seconds.

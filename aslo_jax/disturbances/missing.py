@@ -10,6 +10,8 @@ from .._checks import is_concrete, real
 from .._typing import PyTree, RealArray
 from .base import AbstractSampled, DisturbanceState
 
+__all__ = ["MissingSamples"]
+
 
 class MissingSamples(AbstractSampled):
     """Loses each sample with `probability`, in [0, 1], all its entries together, and holds

@@ -10,6 +10,8 @@ from .._checks import positive, real
 from .._typing import HostArray, PyTree, RealArray
 from .base import AbstractDisturbance, DisturbanceState
 
+__all__ = ["SampledNoise", "held_index"]
+
 
 class SampledNoise(AbstractDisturbance):
     """Adds white noise that is sampled and held: `deviation` times a standard normal

@@ -8,6 +8,8 @@ from .._checks import positive, real
 from .._typing import PyTree, RealArray
 from .base import AbstractMemoryless, DisturbanceState
 
+__all__ = ["Encoder", "Quantisation"]
+
 
 class Quantisation(AbstractMemoryless):
     """Rounds each entry to a multiple of `step` (its units; scalar or of the signal's

@@ -9,6 +9,8 @@ from .._checks import is_concrete, real
 from .._typing import PyTree, RealArray
 from .base import AbstractMemoryless, DisturbanceState
 
+__all__ = ["Saturation"]
+
 
 class Saturation(AbstractMemoryless):
     """Clips each entry to [`lower`, `upper`], in the units of the signal: scalars, or of

@@ -8,6 +8,8 @@ from .._checks import real
 from .._typing import PyTree, RealArray
 from .base import AbstractMemoryless, DisturbanceState
 
+__all__ = ["Sinusoid"]
+
 
 class Sinusoid(AbstractMemoryless):
     """Adds `amplitude sin(frequency t + phase)`: `amplitude` in the units of the signal,

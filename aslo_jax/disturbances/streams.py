@@ -10,6 +10,8 @@ from .._checks import is_concrete
 from .._typing import PyTree
 from .base import AbstractDisturbance
 
+__all__ = ["check_streams"]
+
 
 def check_streams(tree: PyTree) -> None:
     """Refuse two random disturbances, anywhere in `tree`, that draw the same numbers: they

@@ -36,3 +36,26 @@ from .robotic_leg import RoboticLegDescription as RoboticLegDescription
 from .speed import cutoff_for as cutoff_for, electrical_speed as electrical_speed
 from .stepper import StepperDescription as StepperDescription
 from .wrim import WRIMDescription as WRIMDescription
+
+__all__ = [
+    "KINDS",
+    "AbstractDescription",
+    "BallBeamDescription",
+    "InteriorPMSMDescription",
+    "Layout",
+    "MachineError",
+    "MagneticBearingDescription",
+    "MechanicalDescription",
+    "PMSMDescription",
+    "Quantity",
+    "Rate",
+    "RoboticLegDescription",
+    "StepperDescription",
+    "WRIMDescription",
+    "cutoff_for",
+    "cutoff_for_positions",
+    "electrical_speed",
+    "read_machine",
+    "template",
+    "typical_frequency",
+]

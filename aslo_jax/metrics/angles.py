@@ -14,6 +14,8 @@ from ..observers import electrical_angle, wrap
 from .base import AbstractComposed, estimate_of, size
 from .functions import Maximum, Mean
 
+__all__ = ["AngleError", "FluxAngle", "PeakAngleError", "RotorAngle", "degrees_between"]
+
 
 class FluxAngle(Module):
     """The electrical angle (rad) of a motor with magnets, of a record in which `observer`

@@ -13,6 +13,20 @@ from .._module import Module
 from .._typing import PyTree
 from ..experiment import Record
 
+__all__ = [
+    "AbstractComposed",
+    "AbstractMetric",
+    "MakeMetric",
+    "PerObserver",
+    "counts",
+    "error_of",
+    "estimate_of",
+    "metric_of",
+    "metric_of_each",
+    "size",
+    "squares_of",
+]
+
 
 class AbstractMetric(Module):
     """A reduction of the records of an experiment, in the order of time.

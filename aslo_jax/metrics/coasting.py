@@ -7,6 +7,8 @@ from .._typing import PyTree
 from ..experiment import Record
 from .base import AbstractMetric, estimate_of
 
+__all__ = ["CoastingFraction"]
+
 
 class CoastingFraction(AbstractMetric):
     """The part of the samples at which `observer` coasts, from 0 to 1."""

@@ -9,6 +9,8 @@ from .._typing import PyTree
 from ..experiment import Record
 from .base import AbstractMetric, counts, squares_of
 
+__all__ = ["Diverged"]
+
 
 class Diverged(AbstractMetric):
     """Whether the error of `observer` was ever, from `after` (s) on, larger than `bound`,

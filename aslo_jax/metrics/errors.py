@@ -10,6 +10,8 @@ from ..experiment import Record
 from .base import AbstractComposed, AbstractMetric, counts, error_of, size, squares_of
 from .functions import Integral, Mean
 
+__all__ = ["FinalError", "IntegralSquaredError", "MeanError", "PeakError", "RMSError"]
+
 
 class RMSError(AbstractMetric):
     """The root of the mean squared error of `observer` from `after` (s) on, in the units of

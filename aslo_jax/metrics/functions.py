@@ -11,6 +11,8 @@ from .._typing import PyTree
 from ..experiment import Record
 from .base import AbstractMetric, counts
 
+__all__ = ["Final", "Integral", "Maximum", "Mean"]
+
 
 def _value(function: Callable[[Record], Array], record: Record) -> Array:
     """A real array; what is none has the precision of the time."""

@@ -9,6 +9,8 @@ from .._typing import PyTree
 from ..experiment import Record
 from .base import AbstractMetric, squares_of
 
+__all__ = ["SettlingTime"]
+
 
 class SettlingTime(AbstractMetric):
     """The first instant (s) from which the error of `observer` stays within `tolerance`, in

@@ -15,6 +15,8 @@ from ..realise import Pass
 from ..relations import AbstractTerms, terms_of
 from .base import AbstractObserver, Estimate
 
+__all__ = ["AlgebraicObserver"]
+
 
 class AlgebraicObserver(AbstractObserver):
     """The Algebraic Swapping Lemma Observer: unmeasured states from an algebraic relation

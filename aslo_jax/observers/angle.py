@@ -18,6 +18,14 @@ from .base import AbstractObserver, Estimate
 from .compose import Staged
 from .pll import PhaseLockedLoop
 
+__all__ = [
+    "AlgebraicMagnet",
+    "MagnetAngle",
+    "electrical_angle",
+    "rotor_angle",
+    "track_angle",
+]
+
 
 def electrical_angle(magnet: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
     """The electrical angle in [-pi, pi] (rad) of the magnet's flux `flux - L i` (Wb); zero,

@@ -14,6 +14,8 @@ from ..realise import Pass
 from .algebraic import AlgebraicObserver
 from .base import AbstractObserver, Estimate
 
+__all__ = ["Asymptotic"]
+
 
 class _Average(NamedTuple):
     """The state: a weight N in [0, 1] and N times the estimate."""

@@ -15,6 +15,17 @@ from .._signals import check_signals
 from .._typing import PyTree
 from ..realise import Advance, Flow, Pass, Start, States
 
+__all__ = [
+    "AbstractObserver",
+    "Est",
+    "Estimate",
+    "First",
+    "ObserverState",
+    "Second",
+    "check_observers",
+    "named",
+]
+
 
 class Estimate(Module):
     """An estimate and what is known about it.

@@ -13,6 +13,8 @@ from ..relations import Rate, Row
 from .algebraic import AlgebraicObserver
 from .base import AbstractObserver, Estimate
 
+__all__ = ["BearingObserver"]
+
 
 class BearingObserver(AbstractObserver):
     """Fluxes (Wb), position (m) and velocity (m/s) of a one-axis magnetic bearing from the

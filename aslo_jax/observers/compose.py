@@ -10,6 +10,8 @@ from .._typing import PyTree
 from ..realise import Pass
 from .base import AbstractObserver, Estimate, First, Second, check_observers, named
 
+__all__ = ["Joined", "SideBySide", "Staged"]
+
 
 class SideBySide(AbstractObserver[dict[str, First]], Generic[First]):
     """Several observers of the same signals as one; the estimate is a dictionary of

@@ -13,6 +13,8 @@ from ..plants import AbstractMechanicalSystem
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
 
+__all__ = ["FilteredDerivative", "HighGain", "SuperTwisting"]
+
 
 def _uncertified(velocity: Float[Array, " n"]) -> Estimate:
     return Estimate(velocity, jnp.ones_like(velocity[0]), jnp.asarray(False))

@@ -18,6 +18,8 @@ from ..plants import AbstractMechanicalSystem, FluxRelation
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
 
+__all__ = ["AbstractModel", "Belief", "ExtendedKalman", "MechanicalModel", "PMSMModel"]
+
 
 class AbstractModel(Module):
     """`x' = f(x, u) + noise`, `y = h(x) + noise`."""

@@ -14,6 +14,8 @@ from ..realise import Pass
 from ._relaxation import relaxation
 from .base import AbstractObserver, Estimate
 
+__all__ = ["FO1", "Regression"]
+
 
 class Regression(NamedTuple):
     """`Y = omega'eta` for the constant `eta` (Wb), the flux less its integral from zero:

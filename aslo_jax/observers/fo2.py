@@ -15,6 +15,8 @@ from ..realise import Pass
 from ._relaxation import relaxation
 from .base import AbstractObserver, Estimate
 
+__all__ = ["FO2"]
+
 
 class _Drive(NamedTuple):
     rate: Float[Array, " 2"]  # u - R i

@@ -17,6 +17,8 @@ from ..relations import AbstractTerms, swap, terms_of
 from ._relaxation import relaxation
 from .base import AbstractObserver, Estimate
 
+__all__ = ["FO3"]
+
 
 class _Drive(NamedTuple):
     determinant: Float[Array, ""]

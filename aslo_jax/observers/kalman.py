@@ -13,6 +13,8 @@ from ..filters import LinearSystem
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
 
+__all__ = ["SteadyStateKalman"]
+
 
 class SteadyStateKalman(AbstractObserver):
     """`x' = A x + B u + gain (y - C x)` with the constant gain of the settled filter.

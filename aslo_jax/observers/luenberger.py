@@ -13,6 +13,8 @@ from ..filters import LinearSystem
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
 
+__all__ = ["ReducedLuenberger"]
+
 
 class ReducedLuenberger(AbstractObserver):
     """Estimates the unmeasured states of `x' = A x + B u`, whose first `p` states are

@@ -12,6 +12,8 @@ from ..realise import Pass
 from ..relations import AbstractTerms, terms_of
 from .base import AbstractObserver, Estimate
 
+__all__ = ["OpenLoopIntegrator"]
+
 
 class OpenLoopIntegrator(AbstractObserver):
     """`x' = A x + z`, the known derivative integrated; `flux' = u - R i` of a PMSM.

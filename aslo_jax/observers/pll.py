@@ -9,6 +9,8 @@ from .._typing import PyTree
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
 
+__all__ = ["PhaseLockedLoop", "wrap"]
+
 
 def wrap(angle: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """The same angle in [-pi, pi) (rad)."""

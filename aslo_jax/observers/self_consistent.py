@@ -19,6 +19,8 @@ from .algebraic import AlgebraicObserver
 from .asymptotic import _Average, _Correction, _Drive
 from .base import AbstractObserver, Estimate
 
+__all__ = ["SelfConsistent"]
+
 
 class SelfConsistent(AbstractObserver):
     """An A-ASLO, `x' = z - gain (x - x_algebraic)`, for a relation whose terms depend

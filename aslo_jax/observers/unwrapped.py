@@ -13,6 +13,8 @@ from ..realise import Pass
 from .base import AbstractObserver, Est, ObserverState
 from .pll import wrap
 
+__all__ = ["Unwrapped"]
+
 
 class Unwrapped(AbstractObserver[Est], Generic[Est]):
     """An observer of `y`, shape `(p,)`, whose marked entries are angles (rad) that may jump

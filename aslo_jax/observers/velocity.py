@@ -22,6 +22,14 @@ from .asymptotic import Asymptotic
 from .base import AbstractObserver, Estimate
 from .unwrapped import Unwrapped
 
+__all__ = [
+    "CoordinateVelocity",
+    "MomentumRelation",
+    "Velocities",
+    "VelocityObserver",
+    "velocity_observer",
+]
+
 
 class MomentumRelation(Module):
     """The rate relation of one coordinate's momentum. With the inertia `m(q)` of coordinate

@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 import jax
 
+__all__ = ["SECTIONS", "run"]
+
 SECTIONS = (2, 3, 4)
 
 

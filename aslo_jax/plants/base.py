@@ -9,6 +9,8 @@ from jaxtyping import Array, Float
 from .._module import Module
 from .._typing import PyTree
 
+__all__ = ["AbstractPlant"]
+
 
 class AbstractPlant(Module):
     """A system `x' = f(t, x, u)` with measured output `y` and a hidden part to estimate.

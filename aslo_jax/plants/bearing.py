@@ -15,6 +15,8 @@ from ..relations import Quadratic
 from .base import AbstractPlant
 from .machine import no_load
 
+__all__ = ["BearingFluxRelation", "BearingState", "MagneticBearing"]
+
 
 class BearingFluxRelation(Module):
     """`i1 psi2 + i2 psi1 = (4 g/k) psi1 psi2`: the fluxes (Wb) of two opposed coils from

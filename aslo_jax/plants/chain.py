@@ -9,6 +9,8 @@ from .._typing import PyTree, RealArray
 from ..relations import Rate
 from .base import AbstractPlant
 
+__all__ = ["ChainRelation", "IntegratorChain"]
+
 
 class ChainRelation(Module):
     """`x2 = y'`, the rate relation of a chain of `order` integrators.

@@ -14,6 +14,8 @@ from .._typing import RealArray
 from ..relations import Quadratic
 from .machine import AbstractMachine, Inductance, direction, no_load
 
+__all__ = ["InteriorPMSM", "SalientFluxRelation", "SelfConsistentFluxRelation"]
+
 
 class SalientFluxRelation(Module):
     """`(phi - Ld i)'(phi - Lq i) = m (m + (Ld - Lq) i_d)`: the stator flux phi (Wb) of an

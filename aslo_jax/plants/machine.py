@@ -14,6 +14,8 @@ from .._typing import PyTree, RealArray
 from ..relations import contract
 from .base import AbstractPlant
 
+__all__ = ["AbstractMachine", "Inductance", "MachineState", "direction", "no_load"]
+
 Inductance = Float[Array, ""] | Float[Array, "n n"]
 
 

@@ -14,6 +14,8 @@ from .._typing import PyTree, RealArray
 from ..relations import contract
 from .base import AbstractPlant
 
+__all__ = ["AbstractMechanicalSystem", "MechanicalState", "MechanicalSystem", "solve"]
+
 
 class MechanicalState(Module):
     """`position`: the generalised coordinates q (rad or m, angles unwrapped), and

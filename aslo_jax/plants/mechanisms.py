@@ -9,6 +9,16 @@ from .._checks import nonnegative, positive, real
 from .._typing import PyTree, RealArray
 from .mechanical import AbstractMechanicalSystem, MechanicalState
 
+__all__ = [
+    "BallBeam",
+    "CartOnArm",
+    "InertiaWheelPendulum",
+    "RoboticLeg",
+    "VariableLengthPendulum",
+    "at_rest",
+    "none_of",
+]
+
 
 def none_of(n: int):
     """A field of `n` zeros, made when an instance is."""

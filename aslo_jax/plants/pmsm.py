@@ -13,6 +13,8 @@ from .._typing import RealArray
 from ..relations import Quadratic
 from .machine import AbstractMachine, Inductance, direction, no_load
 
+__all__ = ["PMSM", "FluxRelation"]
+
 
 class FluxRelation(Module):
     """`|phi - L i|^2 = m^2`: the stator flux phi (Wb) from stator voltage u (V) and stator

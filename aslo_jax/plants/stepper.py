@@ -12,6 +12,8 @@ from .._typing import RealArray
 from .machine import AbstractMachine, Inductance, direction, no_load
 from .pmsm import FluxRelation
 
+__all__ = ["Stepper"]
+
 
 class Stepper(AbstractMachine):
     """A two-phase PM or hybrid stepper: input u the phase voltages (V), output the phase

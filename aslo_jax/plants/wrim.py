@@ -14,6 +14,8 @@ from .._typing import RealArray, Winding
 from ..relations import Quadratic
 from .machine import AbstractMachine, Inductance, direction, no_load
 
+__all__ = ["WINDINGS", "WRIM", "WindingFluxRelation", "winding_voltages"]
+
 WINDINGS: dict[Winding, slice] = {"stator": slice(0, 2), "rotor": slice(2, 4)}
 
 

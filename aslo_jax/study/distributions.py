@@ -9,6 +9,15 @@ from jaxtyping import Float
 
 from .._typing import HostArray
 
+__all__ = [
+    "AbstractDistribution",
+    "Correlated",
+    "Discrete",
+    "LogNormal",
+    "Normal",
+    "Uniform",
+]
+
 
 class AbstractDistribution(abc.ABC):
     """A distribution of one number, or of several that depend on each other.

@@ -24,6 +24,20 @@ from ..metrics.base import MakeMetric, metric_of
 from ..observers import AbstractObserver
 from .checkpoints import checkpointed
 
+__all__ = [
+    "AbstractLoss",
+    "CVaR",
+    "MeanSquare",
+    "MonteCarlo",
+    "NoiseAndTransient",
+    "Recorded",
+    "Reduction",
+    "SmoothSettling",
+    "TransientAndNoise",
+    "mean",
+    "worst",
+]
+
 Reduction = Callable[[Float[Array, "N *costs"]], Float[Array, "*costs"]]
 
 
