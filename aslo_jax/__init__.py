@@ -4,8 +4,9 @@ Importing this package imports nothing else, JAX neither: every name below is im
 it is first asked for.
 """
 
+from collections.abc import Callable as _Callable
 from importlib.metadata import version as _version
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any as _Any
 
 from ._lazy import lazily as _lazily
 
@@ -179,6 +180,8 @@ __all__ = [
     "velocity_observer",
 ]
 
+__getattr__: _Callable[[str], _Any]
+__dir__: _Callable[[], list[str]]
 __getattr__, __dir__ = _lazily(
     __name__,
     {

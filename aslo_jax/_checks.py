@@ -1,7 +1,8 @@
 """Checks of arguments at construction: concrete values are refused, tracers pass."""
 
 import operator
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, get_args
 
 import jax
 import jax.core
@@ -9,9 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from . import _choices
+from ._typing import Numbers
 
-def real(x: Any) -> Array:
+
+def real(x: Numbers) -> Array:
     """Convert `x` to a floating-point array; arrays keep their floating dtype."""
+    if isinstance(x, str | bytes):
+        raise ValueError(f"A number, or an array of numbers, is needed, but got {x!r}.")
     dtype = getattr(x, "dtype", None)
     floating = dtype is not None and jnp.issubdtype(dtype, jnp.floating)
     if not is_concrete(x):
@@ -21,7 +27,7 @@ def real(x: Any) -> Array:
         return jnp.asarray(x, None if floating else float)
 
 
-def optional_real(x: Any) -> Array | None:
+def optional_real(x: Numbers | None) -> Array | None:
     """As [`real`][], but `None` stays `None`."""
     return None if x is None else real(x)
 
@@ -59,10 +65,25 @@ def unlike(name: str, x: Any, hint: str) -> ValueError:
     return ValueError(f"Argument `{name}` must be {hint}, but got {got}.")
 
 
+def function(name: str, x: Any) -> None:
+    """Refuse an `x` that is neither a function nor `None`."""
+    if not (x is None or callable(x) or type(x) is object):
+        raise unlike(name, x, "a function")
+
+
 def whole(name: str, x: int) -> None:
     """Refuse an `x` that is not at least one."""
     if x < 1:
         raise ValueError(f"Argument `{name}` must be at least 1, but got {x}.")
+
+
+def one_of(name: str, x: Any, choices: Any) -> None:
+    """Refuse an `x` that is none of the `choices`, a `Literal` of strings or a sequence."""
+    allowed: Sequence[str] = get_args(choices) or tuple(choices)
+    if not isinstance(x, str) or x not in allowed:
+        *others, last = (f'"{each}"' for each in allowed)
+        words = f"{', '.join(others)} or {last}" if others else last
+        raise ValueError(f"Argument `{name}` must be {words}, but got {x!r}.")
 
 
 def counted(name: str, x: Any) -> int:
@@ -89,10 +110,9 @@ def stable(name: str, A: Float[Array, "k k"]) -> None:
         )
 
 
-def known_start(start: str) -> None:
+def known_start(start: Any) -> None:
     """Refuse a start that is neither the exact nor the paper's."""
-    if start not in ("exact", "paper"):
-        raise ValueError(f'Argument `start` must be "exact" or "paper", but got {start!r}.')
+    one_of("start", start, _choices.FilterStart)
 
 
 def nonnegative(name: str, x: Array | np.ndarray | float) -> None:

@@ -6,16 +6,16 @@ the ones after it, so that no stage of a solver sees both sides."""
 from collections.abc import Iterable
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ._module import Module
 from .disturbances import AbstractDisturbance
 
 
-class Span(eqx.Module):
+class Span(Module):
     """An integration span, with the jumps inside it (s).
 
     A jump at an end, or a rounding away from one, is none: the vector field at the ends is

@@ -2,37 +2,83 @@
 
 import importlib.util
 import warnings
-from typing import Any
+from typing import Any, Literal, overload
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, PyTree
+from jaxtyping import Array, ArrayLike
 
-from ._checks import is_concrete, real
+from . import _choices
+from ._checks import is_concrete, kind, one_of, real
+from ._typing import Engine, Missing, PyTree
 from .observers import AbstractObserver, Estimate, ObserverState
 from .observers._missing import either, finite, marked, zeros
+from .observers.base import Est
 
-ENGINES = ("auto", "fused", "scan")
-MISSING = ("refuse", "coast", "interpolate")
 PIECE = 1 << 20  # instants looked at at once
 Checked = tuple[Any, PyTree, PyTree, Any]  # the first instant (s), u, y, and intervals (s)
 
 
+@overload
 def replay(
-    observer: AbstractObserver,
+    observer: AbstractObserver[Est],
     t: ArrayLike,
-    u: PyTree[ArrayLike],
-    y: PyTree[ArrayLike],
+    u: PyTree,
+    y: PyTree,
+    *,
+    substeps: int = 1,
+    state: ObserverState | None = None,
+    return_state: Literal[False] = False,
+    max_gap: float | None = None,
+    engine: Engine = "scan",
+) -> Est: ...
+
+
+@overload
+def replay(
+    observer: AbstractObserver[Est],
+    t: ArrayLike,
+    u: PyTree,
+    y: PyTree,
+    *,
+    substeps: int = 1,
+    state: ObserverState | None = None,
+    return_state: Literal[True],
+    max_gap: float | None = None,
+    engine: Engine = "scan",
+) -> tuple[Est, ObserverState]: ...
+
+
+@overload
+def replay(
+    observer: AbstractObserver[Est],
+    t: ArrayLike,
+    u: PyTree,
+    y: PyTree,
+    *,
+    substeps: int = 1,
+    state: ObserverState | None = None,
+    return_state: bool,
+    max_gap: float | None = None,
+    engine: Engine = "scan",
+) -> Est | tuple[Est, ObserverState]: ...
+
+
+def replay(
+    observer: AbstractObserver[Est],
+    t: ArrayLike,
+    u: PyTree,
+    y: PyTree,
     *,
     substeps: int = 1,
     state: ObserverState | None = None,
     return_state: bool = False,
     max_gap: float | None = None,
-    engine: str = "scan",
-    missing: str = "refuse",
-) -> Any:
+    engine: Engine = "scan",
+    missing: Missing = "refuse",
+) -> Est | tuple[Est, ObserverState]:
     """Run an observer over a log: arrays in, arrays out.
 
     `y[k]` is sampled at `t[k]` (s) and `u[k]` is held on `[t[k], t[k+1])`, so the last u
@@ -74,15 +120,9 @@ def replay(
     not increase, or a gap above `max_gap`; [`NotFusible`][] for an observer that the fused
     engine cannot compile.
     """
-    if engine not in ENGINES:
-        raise ValueError(
-            f'Argument `engine` must be "auto", "fused" or "scan", but got {engine!r}.'
-        )
-    if missing not in MISSING:
-        raise ValueError(
-            f'Argument `missing` must be "refuse", "coast" or "interpolate", but got '
-            f"{missing!r}."
-        )
+    one_of("engine", engine, _choices.Engine)
+    kind("observer", observer, AbstractObserver, hint="an observer")
+    one_of("missing", missing, _choices.Missing)
     log, common = checked_log(t, u, y, max_gap, missing)
     coasts = missing == "coast" or _amid(state)
     estimate, final = run_log(observer, log, common, substeps, state, engine, coasts)
@@ -119,14 +159,14 @@ def checked_log(
 
 
 def run_log(
-    observer: AbstractObserver,
+    observer: AbstractObserver[Est],
     log: Checked,
     common: Any,
     substeps: int,
     state: ObserverState | None,
-    engine: str,
+    engine: Engine,
     coasts: bool = False,
-) -> tuple[Any, ObserverState]:
+) -> tuple[Est, ObserverState]:
     """[`replay`][] of a `log` that has been checked: its first instant, u, y, and its
     intervals (s) where they have no length in `common`; `coasts`: whether samples may be
     missing in it."""
@@ -161,13 +201,13 @@ def _may_fuse(arguments: PyTree) -> bool:
 
 @eqx.filter_jit
 def _run(
-    observer: AbstractObserver,
+    observer: AbstractObserver[Est],
     log: Checked,
     common: Array | None,
     substeps: int,
     state: ObserverState | None,
     coasts: bool,
-) -> tuple[Any, ObserverState]:
+) -> tuple[Est, ObserverState]:
     t0, u, y, intervals = log
     u0, y0 = jax.tree.map(lambda s: s[0], (u, y))
     if state is None:
@@ -180,7 +220,7 @@ def _run(
         u, y, h = sample
         own = laws.discretise(h / substeps) if coefficients is None else coefficients
         if coasts:
-            dt = common if h is None else h
+            dt: Any = common if h is None else h
             return observer.take(state, u, y, dt, own, substeps=substeps)
         return observer.advance(state, u, y, own, substeps=substeps)
 
@@ -191,13 +231,13 @@ def _run(
 
 
 def _run_fused(
-    observer: AbstractObserver,
+    observer: AbstractObserver[Est],
     log: Checked,
     common: Any,
     substeps: int,
     state: ObserverState | None,
     coasts: bool,
-) -> tuple[Any, ObserverState]:
+) -> tuple[Est, ObserverState]:
     from .engines.fused.replay import replay_fused  # which needs an extra
 
     t0, u, y, intervals = log

@@ -4,7 +4,8 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-from jaxtyping import PyTree
+
+from ._typing import PyTree
 
 
 def runge_kutta(rate: Callable[[Any, PyTree], PyTree], t: Any, x: PyTree, h: Any) -> PyTree:

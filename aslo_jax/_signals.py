@@ -11,7 +11,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, PyTree
+from jaxtyping import Array
+
+from ._typing import PyTree
 
 Shape = tuple[int | None, ...]  # a size that is not known is None
 

@@ -1,26 +1,27 @@
 """Continuous co-simulation: plant, controller, observers and disturbances in one solve."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Generic
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
-from ._checks import is_concrete, kind
+from ._checks import function, is_concrete, kind
 from ._jumps import Span, between_jumps, span
+from ._module import Module
+from ._typing import PyTree
 from .control import AbstractController
 from .control.base import controlled
 from .disturbances import AbstractDisturbance, DisturbanceState, check_streams
-from .observers import AbstractObserver, ObserverState
-from .observers.base import check_observers
+from .observers import AbstractObserver, Estimate, ObserverState
+from .observers.base import Est, check_observers
 from .plants import AbstractPlant
 
 
-class Simulation(eqx.Module):
+class Simulation(Module, Generic[Est]):
     """What [`simulate`][] returns; every leaf has a leading axis of the `N` instants `t`.
 
     - `t` (s); `u`, the input that the observers saw; `y`, the measurement they saw;
@@ -34,10 +35,10 @@ class Simulation(eqx.Module):
     y: PyTree
     x: PyTree
     hidden: Float[Array, "*N n"]
-    estimates: dict[str, Any]
+    estimates: dict[str, Est]
     states: dict[str, Any]
 
-    def error(self, name: str) -> Float[Array, "*N n"]:
+    def error(self: "Simulation[Estimate]", name: str) -> Float[Array, "*N n"]:
         """Estimate less truth of observer `name`, in the units of the state."""
         return self.estimates[name].value - self.hidden
 
@@ -80,12 +81,12 @@ class Simulation(eqx.Module):
         return dataset(simulation_columns(self, names), units or {})
 
 
-class _Loop(eqx.Module):
+class _Loop(Module):
     """The interconnection: who sees what."""
 
     plant: AbstractPlant
     controller: AbstractController
-    observers: dict[str, AbstractObserver]
+    observers: dict[str, AbstractObserver[Any]]
     actuator: AbstractDisturbance | None
     sensor: AbstractDisturbance | None
     input_sensor: AbstractDisturbance | None
@@ -155,7 +156,7 @@ class _Loop(eqx.Module):
             ),
         }
 
-    def record(self, t, state, args) -> Simulation:
+    def record(self, t, state, args) -> Simulation[Any]:
         del args
         _, y, _, _, _, seen = self.signals(t, state)
         estimates = {
@@ -196,7 +197,7 @@ def _rate(part, t, state, signal, output):
 def simulate(
     plant: AbstractPlant,
     controller: AbstractController | Callable[[Float[Array, ""]], PyTree],
-    observers: Mapping[str, AbstractObserver],
+    observers: Mapping[str, AbstractObserver[Est]],
     *,
     t1: float,
     t0: float = 0.0,
@@ -206,12 +207,12 @@ def simulate(
     sensor: AbstractDisturbance | None = None,
     input_sensor: AbstractDisturbance | None = None,
     feedback: Callable[[PyTree, PyTree, dict[str, Any]], PyTree] | None = None,
-    solver: diffrax.AbstractSolver | None = None,
-    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
+    solver: diffrax.AbstractSolver[Any] | None = None,
+    stepsize_controller: diffrax.AbstractStepSizeController[Any, Any] | None = None,
     dt0: float | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     max_steps: int = 100_000,
-) -> Simulation:
+) -> Simulation[Est]:
     """Integrate a plant, its controller, and observers beside each other, with diffrax.
 
     **Arguments:**
@@ -241,6 +242,7 @@ def simulate(
     controller = controlled(controller)
     kind("plant", plant, AbstractPlant, hint="a plant")
     check_observers(observers)
+    function("feedback", feedback)
     if is_concrete(t0, t1) and not t0 < t1:
         raise ValueError(f"Argument `t1` must be after t0 = {t0} s, but got {t1} s.")
     if ts is None:

@@ -8,13 +8,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ._checks import kind
+from ._module import Module
 from ._small import safe_reciprocal, solve_definite, solve_rows
+from ._typing import RealArray
 from .filters import AbstractFilter, LowPass
 from .realise import Pass
 from .relations import Row, contract, settled, swap
 
+__all__ = ["AbstractCompletion", "FilterBank", "LeastSquares", "Repeat"]
 
-class AbstractCompletion(eqx.Module):
+
+class AbstractCompletion(Module):
     """Completes a row to n independent ones and solves them.
 
     Called with a pass and a row, it returns
@@ -39,7 +43,7 @@ class Repeat(AbstractCompletion):
     Source: paper, Prop. 2, w7 to w9; theory, section 3.
     """
 
-    def __call__(self, F, row):
+    def __call__(self, F: Pass, row: Row) -> tuple[RealArray, RealArray]:
         rows = [row]
         for k in range(1, row.r.shape[-1]):
             rows.append(swap(F.scope(f"repeat{k}"), rows[-1]))
@@ -63,7 +67,7 @@ class FilterBank(AbstractCompletion):
 
     filters: tuple[AbstractFilter, ...] = eqx.field(converter=_several)
 
-    def __call__(self, F, row):
+    def __call__(self, F: Pass, row: Row) -> tuple[RealArray, RealArray]:
         n = row.r.shape[-1]
         if len(self.filters) < n - 1:
             raise ValueError(
@@ -86,7 +90,7 @@ class LeastSquares(AbstractCompletion):
 
     forgetting: LowPass | None = None
 
-    def __call__(self, F, row):
+    def __call__(self, F: Pass, row: Row) -> tuple[RealArray, RealArray]:
         forgetting = F.filter if self.forgetting is None else self.forgetting
         if not isinstance(forgetting, LowPass):
             raise ValueError(

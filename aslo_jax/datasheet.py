@@ -10,7 +10,30 @@ line-to-line voltage is sqrt(3) times a phase voltage, a peak sqrt(2) times an r
 """
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, TypeVar
+
+from ._checks import one_of
+from ._choices import Amplitude, Between, Connection, Per, Speed
+
+__all__ = [
+    "MISTAKES",
+    "RAD_PER_S_PER_KRPM",
+    "Quantity",
+    "agreed_flux",
+    "emf_from_flux",
+    "flux_from_emf",
+    "flux_from_torque",
+    "star_equivalent",
+    "torque_from_flux",
+]
+
+if TYPE_CHECKING:
+    import jax
+    import numpy as np
+
+    Quantity = TypeVar("Quantity", float, np.ndarray, jax.Array)
+else:
+    Quantity = TypeVar("Quantity")  # a number or an array
 
 RAD_PER_S_PER_KRPM = 1000.0 * 2.0 * math.pi / 60.0
 
@@ -25,14 +48,6 @@ MISTAKES = {
 }
 
 
-def _one_of(name: str, value: str, choices: tuple[str, ...]) -> bool:
-    """Whether `value` is the first of `choices`; refuse what is none of them."""
-    if value not in choices:
-        allowed = " or ".join(f'"{choice}"' for choice in choices)
-        raise ValueError(f"Argument `{name}` must be {allowed}, but got {value!r}.")
-    return value == choices[0]
-
-
 def _pole_pairs(pole_pairs: int) -> int:
     if pole_pairs < 1 or pole_pairs != int(pole_pairs):
         raise ValueError(
@@ -43,14 +58,14 @@ def _pole_pairs(pole_pairs: int) -> int:
 
 
 def flux_from_emf(
-    constant: Any,
+    constant: Quantity,
     *,
     pole_pairs: int,
-    amplitude: str,
-    between: str,
-    per: str,
-    speed: str,
-) -> Any:
+    amplitude: Amplitude,
+    between: Between,
+    per: Per,
+    speed: Speed,
+) -> Quantity:
     """The magnet flux (Wb) from a back-EMF constant Ke.
 
     - `constant`: Ke (V per `per`), a number or an array;
@@ -60,46 +75,70 @@ def flux_from_emf(
     - `per`: `"krpm"` or `"rad/s"`;
     - `speed`: `"mechanical"` or `"electrical"`.
     """
-    volts = constant * (1.0 if _one_of("amplitude", amplitude, ("peak", "rms")) else 2**0.5)
-    if _one_of("between", between, ("lines", "phase")):
+    one_of("amplitude", amplitude, Amplitude)
+    one_of("between", between, Between)
+    one_of("per", per, Per)
+    one_of("speed", speed, Speed)
+    volts = constant * (1.0 if amplitude == "peak" else 2**0.5)
+    if between == "lines":
         volts = volts / math.sqrt(3.0)
-    if _one_of("per", per, ("krpm", "rad/s")):
+    if per == "krpm":
         volts = volts / RAD_PER_S_PER_KRPM
-    mechanical = _one_of("speed", speed, ("mechanical", "electrical"))
-    return volts / _pole_pairs(pole_pairs) if mechanical else volts
+    return volts / _pole_pairs(pole_pairs) if speed == "mechanical" else volts
 
 
-def flux_from_torque(constant: Any, *, pole_pairs: int, amplitude: str) -> Any:
+def flux_from_torque(
+    constant: Quantity, *, pole_pairs: int, amplitude: Amplitude
+) -> Quantity:
     """The magnet flux (Wb) from a torque constant Kt.
 
     - `constant`: Kt (N m per ampere of line current), a number or an array;
     - `amplitude`: `"peak"` or `"rms"` amperes.
     """
-    peak = _one_of("amplitude", amplitude, ("peak", "rms"))
-    per_peak = constant * (1.0 if peak else 0.5**0.5)
+    one_of("amplitude", amplitude, Amplitude)
+    per_peak = constant * (1.0 if amplitude == "peak" else math.sqrt(0.5))
     return per_peak / (1.5 * _pole_pairs(pole_pairs))
 
 
-def star_equivalent(value: Any, *, between: str, connection: str) -> Any:
+def star_equivalent(
+    value: Quantity, *, between: Between, connection: Connection
+) -> Quantity:
     """The resistance (ohm) or inductance (H) of a phase of the equivalent star.
 
     - `between`: `"lines"`, as measured at two terminals, or `"phase"`, of one winding;
     - `connection`: `"star"` or `"delta"`. It does not matter between lines: half the value
       is right for both, an inductance between lines including the coupling of phases.
     """
-    star = _one_of("connection", connection, ("star", "delta"))
-    if _one_of("between", between, ("lines", "phase")):
+    one_of("connection", connection, Connection)
+    one_of("between", between, Between)
+    if between == "lines":
         return value / 2.0
-    return value if star else value / 3.0
+    return value if connection == "star" else value / 3.0
 
 
-def emf_from_flux(flux: Any, *, pole_pairs: int, **convention: str) -> Any:
+def emf_from_flux(
+    flux: Quantity,
+    *,
+    pole_pairs: int,
+    amplitude: Amplitude,
+    between: Between,
+    per: Per,
+    speed: Speed,
+) -> Quantity:
     """The back-EMF constant that a datasheet would print for a magnet flux (Wb), in a
     convention of [`flux_from_emf`][]."""
-    return flux / flux_from_emf(1.0, pole_pairs=pole_pairs, **convention)
+    one = flux_from_emf(
+        1.0,
+        pole_pairs=pole_pairs,
+        amplitude=amplitude,
+        between=between,
+        per=per,
+        speed=speed,
+    )
+    return flux / one
 
 
-def torque_from_flux(flux: Any, *, pole_pairs: int, amplitude: str) -> Any:
+def torque_from_flux(flux: Quantity, *, pole_pairs: int, amplitude: Amplitude) -> Quantity:
     """The torque constant that a datasheet would print for a magnet flux (Wb), in a
     convention of [`flux_from_torque`][]."""
     return flux / flux_from_torque(1.0, pole_pairs=pole_pairs, amplitude=amplitude)

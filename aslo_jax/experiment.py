@@ -1,24 +1,28 @@
 """The sampled closed loop: hold, integrate, measure, observe, control."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Generic
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, Int
 
-from ._checks import divides, kind, positive, real
+from ._checks import divides, function, kind, positive, real
+from ._module import Module
 from ._runge_kutta import runge_kutta
+from ._typing import PyTree
 from .control import AbstractController
 from .control.base import controlled
 from .disturbances import AbstractDisturbance, DisturbanceState, check_streams
 from .observers import AbstractObserver, ObserverState
-from .observers.base import check_observers
+from .observers.base import Est, check_observers, named
 from .plants import AbstractPlant
 
+__all__ = ["Carry", "Experiment", "Record"]
 
-class Record(eqx.Module):
+
+class Record(Module, Generic[Est]):
     """What an experiment records at `t` (s): the plant's state `x` and its `hidden` part,
     the measurement `y` and the input `u` that the observers are given (held from `t` on),
     and the `estimates` by observer name."""
@@ -28,10 +32,10 @@ class Record(eqx.Module):
     hidden: Float[Array, "*N n"]
     y: PyTree
     u: PyTree
-    estimates: dict[str, Any]
+    estimates: dict[str, Est]
 
 
-class Carry(eqx.Module):
+class Carry(Module):
     """Everything that goes on from one sample to the next; a value."""
 
     x: PyTree
@@ -44,7 +48,7 @@ class Carry(eqx.Module):
     input_sensor: DisturbanceState | None
 
 
-class Experiment(eqx.Module):
+class Experiment(Module, Generic[Est]):
     """A plant under a sampled controller with observers beside it.
 
     - `controller`: a controller, or a function of time (s) for an open loop;
@@ -63,7 +67,7 @@ class Experiment(eqx.Module):
 
     plant: AbstractPlant
     controller: AbstractController = eqx.field(converter=controlled)
-    observers: dict[str, AbstractObserver] = eqx.field(converter=dict)
+    observers: dict[str, AbstractObserver[Est]] = eqx.field(converter=named)
     interval: Float[Array, ""] = eqx.field(converter=real)
     feedback: Callable[[PyTree, PyTree, dict[str, Any]], PyTree] | None = None
     actuator: AbstractDisturbance | None = None
@@ -72,17 +76,18 @@ class Experiment(eqx.Module):
     initial: PyTree | None = None
     plant_steps: int = eqx.field(static=True, default=1)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("interval", self.interval, "s")
         kind("plant", self.plant, AbstractPlant, hint="a plant")
         check_observers(self.observers)
+        function("feedback", self.feedback)
         if self.plant_steps < 1:
             raise ValueError(
                 f"Argument `plant_steps` must be at least 1, but got {self.plant_steps}."
             )
         check_streams((self.actuator, self.sensor, self.input_sensor))
 
-    def init(self) -> tuple[Carry, Record]:
+    def init(self) -> tuple[Carry, Record[Est]]:
         """The carry and the record at the first sample, t = 0."""
         x = self.plant.initial() if self.initial is None else self.initial
         x = jax.tree.map(jnp.asarray, x)
@@ -118,7 +123,7 @@ class Experiment(eqx.Module):
 
     def advance(
         self, k: Int[Array, ""], carry: Carry, prepared: dict[str, PyTree]
-    ) -> tuple[Carry, Record]:
+    ) -> tuple[Carry, Record[Est]]:
         """From sample k to sample k + 1, and what is recorded there."""
         x, actuator = self._integrate(k * self.interval, carry)
         t = (k + 1) * self.interval
@@ -138,7 +143,7 @@ class Experiment(eqx.Module):
         disturbances = actuator, sensor, input_sensor
         return Carry(x, state, observers, command, seen, *disturbances), record
 
-    def run(self, steps: int, every: int = 1) -> Record:
+    def run(self, steps: int, every: int = 1) -> Record[Est]:
         """Run `steps` intervals and record every `every`-th sample, the first included:
         leaves with a leading axis of length `steps // every + 1`."""
         divides(every, steps)
@@ -222,7 +227,7 @@ def _through(
 
 
 @eqx.filter_jit
-def _run(experiment: Experiment, steps: int, every: int) -> Record:
+def _run(experiment: Experiment[Est], steps: int, every: int) -> Record[Est]:
     carry, first = experiment.init()
     prepared = experiment.prepare(carry)
 

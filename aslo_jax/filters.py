@@ -14,13 +14,28 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float
 
 from ._checks import kind, optional_real, positive, real, stable
+from ._module import Module
 from ._small import exponential_integrals
+from ._typing import PyTree, RealArray
+
+__all__ = [
+    "AbstractFilter",
+    "AbstractLaw",
+    "Integrator",
+    "LinearFilter",
+    "LinearSystem",
+    "LowPass",
+    "bias_rejecting",
+    "check_filter",
+    "second_order",
+    "sinusoid_rejecting",
+]
 
 
-class AbstractLaw(eqx.Module):
+class AbstractLaw(Module):
     """How one named state evolves, in continuous and in sampled time."""
 
     @abc.abstractmethod
@@ -41,14 +56,14 @@ class Integrator(AbstractLaw):
     """`X' = v`: any state that is not a filter. Sampled by the trapezoidal rule, which
     is Heun's method when `v` depends on `X`."""
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
         del X
         return v
 
-    def discretise(self, h):
+    def discretise(self, h: RealArray | float) -> PyTree:
         return h
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         # Time may be double where the state is single; a state keeps its precision.
         half = jnp.asarray(0.5 * coefficients, jnp.result_type(X))
         return X + half * (v0 + v1)
@@ -124,7 +139,7 @@ class LowPass(AbstractFilter):
 
     rate: Float[Array, ""] = eqx.field(converter=real)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("rate", self.rate, "rad/s")
         if jnp.ndim(self.rate) and isinstance(self.rate, jax.Array):
             raise ValueError(
@@ -134,28 +149,28 @@ class LowPass(AbstractFilter):
             )
 
     @property
-    def strictly_proper(self):
+    def strictly_proper(self) -> bool:
         return True
 
-    def inject(self, s):
+    def inject(self, s: RealArray | float) -> RealArray:
         return self.rate * s
 
-    def output(self, X):
+    def output(self, X: RealArray) -> RealArray:
         return X
 
-    def feedthrough(self, s):
+    def feedthrough(self, s: RealArray | float) -> RealArray | float:
         return 0.0
 
-    def equilibrium(self, s):
+    def equilibrium(self, s: RealArray | float) -> RealArray:
         return jnp.asarray(s, jnp.result_type(s, self.rate))
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
         return v - self.rate * X
 
-    def discretise(self, h):
+    def discretise(self, h: RealArray | float) -> PyTree:
         return _scalar_hold(self.rate, jnp.asarray(h, self.rate.dtype))
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         decay, left, right = coefficients
         return decay * X + left * v0 + right * v1
 
@@ -168,16 +183,16 @@ class LinearSystem(AbstractLaw):
 
     A: Float[Array, "k k"] = eqx.field(converter=real)
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
         return jnp.tensordot(self.A, X, axes=1) + v
 
-    def discretise(self, h):
+    def discretise(self, h: RealArray | float) -> PyTree:
         h = jnp.asarray(h, self.A.dtype)
         decay, phi1, phi2 = exponential_integrals(self.A * h)
         right = h * phi2
         return _Hold(decay, h * phi1 - right, right)
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         decay, left, right = coefficients
         return (
             jnp.tensordot(decay, X, axes=1)
@@ -222,7 +237,7 @@ class LinearFilter(AbstractFilter):
     C: Float[Array, " k"] = eqx.field(converter=real)
     D: Float[Array, ""] | None = eqx.field(converter=optional_real, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         shapes = jnp.shape(self.A), jnp.shape(self.B), jnp.shape(self.C)
         if len(shapes[0]) == 2 and shapes != (2 * shapes[1], shapes[1], shapes[1]):
             raise ValueError(
@@ -232,28 +247,28 @@ class LinearFilter(AbstractFilter):
         stable("A", self.A)
 
     @property
-    def strictly_proper(self):
+    def strictly_proper(self) -> bool:
         return self.D is None
 
-    def inject(self, s):
+    def inject(self, s: RealArray | float) -> RealArray:
         return jnp.multiply.outer(self.B, s)
 
-    def output(self, X):
+    def output(self, X: RealArray) -> RealArray:
         return jnp.tensordot(self.C, X, axes=1)
 
-    def feedthrough(self, s):
+    def feedthrough(self, s: RealArray | float) -> RealArray | float:
         return 0.0 if self.D is None else self.D * s
 
-    def equilibrium(self, s):
+    def equilibrium(self, s: RealArray | float) -> RealArray:
         return jnp.multiply.outer(-jnp.linalg.solve(self.A, self.B), s)
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
         return LinearSystem(self.A).flow(X, v)
 
-    def discretise(self, h):
+    def discretise(self, h: RealArray | float) -> PyTree:
         return LinearSystem(self.A).discretise(h)
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         return LinearSystem(self.A).advance(X, v0, v1, coefficients)
 
 

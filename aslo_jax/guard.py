@@ -5,9 +5,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ._checks import optional_real, positive, real
+from ._module import Module
+from ._typing import PyTree, RealArray
 from .filters import AbstractLaw
 from .realise import Pass
 from .relations import AbstractTerms
+
+__all__ = ["Guard", "Memory"]
 
 
 class Memory(AbstractLaw):
@@ -19,20 +23,20 @@ class Memory(AbstractLaw):
 
     tracking: Float[Array, ""]
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
         value, _, trust, rate = v
         return rate + self.tracking * trust * (value - X)
 
-    def discretise(self, h):
+    def discretise(self, h: RealArray | float) -> PyTree:
         return h
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         value, certified, _, rate = v1
         half = jnp.asarray(0.5 * coefficients, X.dtype)
         return jnp.where(certified, value, X + half * (v0[-1] + rate))
 
 
-class Guard(eqx.Module):
+class Guard(Module):
     """Lets an algebraic estimate through while its certificate is above `threshold`, and
     otherwise coasts: the last certified estimate (at the start, the initial guess)
     propagated along the known derivative `x' = A x + z`.
@@ -50,7 +54,7 @@ class Guard(eqx.Module):
     threshold: Float[Array, ""] | None = eqx.field(converter=optional_real, default=None)
     tracking: Float[Array, ""] = eqx.field(converter=real, default=50.0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("tracking", self.tracking, "rad/s")
         if self.threshold is not None:
             positive("threshold", self.threshold)

@@ -7,16 +7,36 @@ doi:10.1145/2063384.2063405), equal to JAX's own.
 """
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, UInt32
 
+__all__ = [
+    "Key",
+    "KeyLike",
+    "as_key",
+    "fold",
+    "key",
+    "normal",
+    "seed_of",
+    "threefry",
+    "uniform",
+]
+
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 
 Key = UInt32[Array, " 2"]
+
+# What is taken for a key: one of `jax.random.key`, of `jax.random.PRNGKey`, or of `key`.
+if TYPE_CHECKING:
+    KeyLike: TypeAlias = Array | np.ndarray
+else:  # what is none is refused by `as_key`
+    KeyLike = Any
 
 
 def _rotate(x: Array, by: int) -> Array:
@@ -46,6 +66,49 @@ def key(seed: int | Int[Array, ""]) -> Key:
             )
         return jnp.array([seed >> 32, seed & 0xFFFFFFFF], jnp.uint32)
     return jnp.stack([jnp.zeros((), jnp.uint32), jnp.asarray(seed).astype(jnp.uint32)])
+
+
+def as_key(key: Any) -> UInt32[Array, "*batch 2"]:
+    """The two words of a key of JAX or of this module; what is no key is refused.
+
+    **Raises:** `ValueError` for an integer, which is a seed, and for keys of another
+    generator than JAX's default one."""
+    dtype = getattr(key, "dtype", None)
+    if dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key):
+        key = jax.random.key_data(key)
+        if key.shape[-1] != 2:
+            raise ValueError(
+                'Argument `key` must be a key of the generator "threefry2x32", JAX\'s '
+                f"default, but its data has the shape {key.shape}."
+            )
+        return key
+    if isinstance(key, int | float | np.integer | np.floating | str) or (
+        dtype is not None and key.ndim == 0
+    ):
+        raise ValueError(
+            "Argument `key` must be a key of random numbers such as `jax.random.key(0)`, "
+            f"but got {key!r}, which is a seed."
+        )
+    return key
+
+
+def seed_of(key: KeyLike | None) -> int:
+    """The integer below 2**64 that stands for a key: the seed n of `jax.random.key(n)`.
+    0 for `None`.
+
+    **Raises:** `ValueError` as [`as_key`][], and for a key that is traced, or several."""
+    if key is None:
+        return 0
+    words = as_key(key)
+    if isinstance(words, jax.core.Tracer):
+        raise ValueError("Argument `key` must be known here, but is traced.")
+    if getattr(words, "shape", None) != (2,):
+        raise ValueError(
+            "Argument `key` must be one key of random numbers such as `jax.random.key(0)`, "
+            f"but got {key!r}."
+        )
+    high, low = np.asarray(words, np.uint32).tolist()
+    return (high << 32) | low
 
 
 def fold(key: Key, sample: int | Int[Array, ""]) -> Key:

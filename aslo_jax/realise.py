@@ -11,9 +11,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float
 
+from ._typing import FilterStart, PyTree
 from .filters import AbstractFilter, AbstractLaw, Integrator
+
+__all__ = ["AbstractRealisation", "Advance", "Drive", "Flow", "Pass", "Start", "States"]
 
 States = dict[str, Any]
 
@@ -52,7 +55,7 @@ def _at(drive: Drive, X: PyTree) -> PyTree:
 class AbstractRealisation(abc.ABC):
     """What one pass over the equations does with each state. Lives for one pass only."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._names: set[str] = set()
         self._counts: dict[str, int] = {}
 
@@ -90,12 +93,12 @@ class AbstractRealisation(abc.ABC):
 class Start(AbstractRealisation):
     """Allocates the states: their names, shapes and first values."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__()
         self.states: States = {}
         self.laws: dict[str, AbstractLaw] = {}
 
-    def evolve(self, name, law, drive, start):
+    def evolve(self, name: str, law: AbstractLaw, drive: Drive, start: PyTree) -> PyTree:
         v = _at(drive, start) if start is not None else drive
         if start is None:
             start = jax.tree.map(jnp.zeros_like, v)
@@ -103,7 +106,9 @@ class Start(AbstractRealisation):
         self.laws[name] = law
         return start
 
-    def loop(self, name, law, start):
+    def loop(
+        self, name: str, law: AbstractLaw, start: PyTree
+    ) -> tuple[PyTree, Callable[[Drive], PyTree]]:
         def close(drive):
             return self.evolve(name, law, drive, start)
 
@@ -119,13 +124,13 @@ class Start(AbstractRealisation):
 class Flow(AbstractRealisation):
     """Reads the states and records every derivative and every drive."""
 
-    def __init__(self, states: States):
+    def __init__(self, states: States) -> None:
         super().__init__()
         self.states = states
         self.rates: States = {}
         self.drives: States = {}
 
-    def evolve(self, name, law, drive, start):
+    def evolve(self, name: str, law: AbstractLaw, drive: Drive, start: PyTree) -> PyTree:
         X = _found(self.states, name)
         v = _at(drive, X)
         self.rates[name] = law.flow(X, v)
@@ -135,7 +140,9 @@ class Flow(AbstractRealisation):
     def shift(self, name, by):
         self.states = {**self.states, name: _found(self.states, name) + by}
 
-    def loop(self, name, law, start):
+    def loop(
+        self, name: str, law: AbstractLaw, start: PyTree
+    ) -> tuple[PyTree, Callable[[Drive], PyTree]]:
         def close(drive):
             return self.evolve(name, law, drive, start)
 
@@ -150,7 +157,9 @@ class Advance(AbstractRealisation):
     the same input.
     """
 
-    def __init__(self, states: States, drives: States, coefficients: Mapping[str, PyTree]):
+    def __init__(
+        self, states: States, drives: States, coefficients: Mapping[str, PyTree]
+    ) -> None:
         super().__init__()
         self.states = states
         self.left = drives
@@ -158,12 +167,14 @@ class Advance(AbstractRealisation):
         self.advanced: States = {}
         self.drives: States = {}
 
-    def evolve(self, name, law, drive, start):
+    def evolve(self, name: str, law: AbstractLaw, drive: Drive, start: PyTree) -> PyTree:
         if callable(drive):
             return self.loop(name, law, start)[1](drive)
         return self._finish(name, law, drive, drive)
 
-    def loop(self, name, law, start):
+    def loop(
+        self, name: str, law: AbstractLaw, start: PyTree
+    ) -> tuple[PyTree, Callable[[Drive], PyTree]]:
         left = self.left[name]
         predicted = law.advance(self.states[name], left, left, self.coefficients[name])
 
@@ -197,14 +208,14 @@ class Pass:
         self,
         realisation: AbstractRealisation,
         filter: AbstractFilter | None = None,
-        start: str = "exact",
+        start: FilterStart = "exact",
         scope: str = "",
         interval: Interval | None = None,
         doubted: Bool[Array, ""] | None = None,
-    ):
+    ) -> None:
         self._realisation = realisation
         self._filter = filter
-        self._start = start
+        self._start: FilterStart = start
         self._scope = scope
         self._interval = interval
         self._doubted = doubted
@@ -220,7 +231,7 @@ class Pass:
         """Whether the start is exact."""
         return self._start == "exact"
 
-    def using(self, filter: AbstractFilter, start: str | None = None) -> "Pass":
+    def using(self, filter: AbstractFilter, start: FilterStart | None = None) -> "Pass":
         """The same pass with `filter` bound to it."""
         mode = self._start if start is None else start
         return self._with(filter=filter, start=mode)

@@ -13,13 +13,28 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
+from ._module import Module
 from ._signals import check_signals
+from ._typing import PyTree
 from .realise import Pass
 
+__all__ = [
+    "AbstractTerms",
+    "Linear",
+    "Quadratic",
+    "Rate",
+    "Row",
+    "contract",
+    "filtered_rows",
+    "settled",
+    "swap",
+    "terms_of",
+]
 
-class Row(eqx.Module):
+
+class Row(Module):
     """One row `r'x = b`, or a batch of them, with `x' = A x + z`."""
 
     r: Float[Array, "*rows n"]
@@ -34,7 +49,7 @@ class Row(eqx.Module):
     constant: bool = eqx.field(static=True, default=False)
 
 
-class AbstractTerms(eqx.Module):
+class AbstractTerms(Module):
     """The terms of a relation at an instant."""
 
     z: eqx.AbstractVar[Float[Array, " n"]]
@@ -74,7 +89,7 @@ class Linear(AbstractTerms):
     z: Float[Array, " n"]
     A: Float[Array, "n n"] | None = None
 
-    def row(self, F):
+    def row(self, F: Pass) -> Row:
         scale = _size(F, self.c, self.A)
         return Row(self.c, self.d, self.z, self.A, scale)
 
@@ -94,7 +109,7 @@ class Rate(AbstractTerms):
     A: Float[Array, "n n"] | None = None
     constant: bool = eqx.field(static=True, default=False)
 
-    def row(self, F):
+    def row(self, F: Pass) -> Row:
         X = filtered_rows(F, self.c, self.A, self.constant, "r")
         drive = contract(X, self.z)
         if self.d is not None:
@@ -127,7 +142,7 @@ class Quadratic(AbstractTerms):
         """`Q x`."""
         return self.Q * x if self.Q.ndim == 0 else contract(self.Q, x)
 
-    def row(self, F):
+    def row(self, F: Pass) -> Row:
         H = F.settling("one")
         Qz = self.times(self.z)
         K = F.hidden(F.inject(self.c) + jnp.multiply.outer(H, Qz), "r")

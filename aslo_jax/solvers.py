@@ -8,8 +8,10 @@ import jax
 
 from ._runge_kutta import runge_kutta as runge_kutta
 
+__all__ = ["RungeKutta4", "runge_kutta"]
 
-class RungeKutta4(diffrax.AbstractSolver):
+
+class RungeKutta4(diffrax.AbstractSolver[None]):
     """The classical fourth-order method with fixed steps, written out: it has no loop over
     stages and no error estimate, so that a step costs less than one of `diffrax.Tsit5`.
 

@@ -12,6 +12,17 @@ from jaxtyping import Float
 from ._checks import is_concrete
 from .plants import AbstractMechanicalSystem
 
+__all__ = [
+    "INSTEAD",
+    "POINTS",
+    "Friction",
+    "Region",
+    "Structure",
+    "StructureError",
+    "decay_rate",
+    "structure_of",
+]
+
 Friction = Literal["none", "constant", "varying"]
 Region = tuple[Any, Any]  # lowest and highest coordinates, each of shape (n,)
 
@@ -41,7 +52,7 @@ class Structure:
     friction: tuple[Friction, ...]
     constant: tuple[bool, ...]
 
-    def __str__(self):
+    def __str__(self) -> str:
         steps = [", ".join(f"q{j + 1}'" for j in stage) for stage in self.stages]
         words = {
             "none": "none",

@@ -3,7 +3,7 @@ are others for each lane, which must also run several times as fast as by `scan`
 observers side by side."""
 
 import time
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -42,7 +42,7 @@ def driven(w: Any) -> aslo.Experiment:
     return aslo.Experiment(CHAIN, aslo.control.OpenLoop(command), {}, 1e-2, initial=start)
 
 
-def network(units: int, engine: str):
+def network(units: int, engine: Literal["fused", "scan"]):
     """A run of all lanes, traced; it compiles in its first call."""
     batch = weights(units)
     like = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[1:], a.dtype), batch)
@@ -75,7 +75,8 @@ def main() -> list[str]:
     )
     print(f"  {OBSERVERS} observers{_first(observed):16.2f} s")
     units = max(BOUNDS)
-    contenders = {engine: network(units, engine) for engine in ("scan", "fused")}
+    engines: tuple[Literal["fused", "scan"], ...] = ("scan", "fused")
+    contenders = {engine: network(units, engine) for engine in engines}
     seconds, found = timing.interleaved(contenders, RUNS)
     np.testing.assert_allclose(found["fused"], found["scan"], rtol=1e-11, atol=1e-12)
     times = seconds["scan"] / seconds["fused"]

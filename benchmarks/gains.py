@@ -11,7 +11,7 @@ import copy
 import dataclasses
 import tomllib
 from importlib.resources import files
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -75,6 +75,9 @@ def tuned(name: str) -> dict[str, dict[str, float]]:
     return content["observers"]
 
 
+Engine = Literal["fused", "scan"]
+
+
 class _Search:
     """The median rms error of many sets of gains, on the same samples."""
 
@@ -88,14 +91,20 @@ class _Search:
         # its matrix differs between lanes.
         slow = [name for name, observer in like.items() if _is_linear(observer)]
         fast = [name for name in like if name not in slow]
+        kinds: tuple[tuple[list[str], Engine], ...] = (fast, "fused"), (slow, "scan")
         self.runners = [
             (names, self._runner(names, like, found.steps, rms["after"], engine))
-            for names, engine in ((fast, "fused"), (slow, "scan"))
+            for names, engine in kinds
             if names
         ]
 
     def _runner(
-        self, names: list[str], like: Any, steps: int, after: float, engine: str
+        self,
+        names: list[str],
+        like: Any,
+        steps: int,
+        after: float,
+        engine: Engine,
     ) -> Runner:
         chosen = {name: like[name] for name in names}
         _, static = eqx.partition(chosen, eqx.is_inexact_array_like)

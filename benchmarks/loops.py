@@ -2,7 +2,7 @@
 by SciPy on its vector field, and accurately."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import diffrax
 import jax
@@ -38,7 +38,7 @@ class Sampled:
     def __init__(
         self,
         work: Work,
-        engine: str,
+        engine: Literal["auto", "fused", "scan"],
         batch,
         steps: int,
         threads=None,

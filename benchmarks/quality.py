@@ -144,8 +144,9 @@ def bound(regime: Regime, seeds) -> float:
     from aslo_jax.plants.machine import MachineState
     from aslo_jax.study.bound import cramer_rao
 
-    prior = MachineState(jnp.full(2, 0.2), 100.0, 3.0)
-    process = MachineState(jnp.zeros(2), 1e4, 0.0)
+    number = jnp.asarray
+    prior = MachineState(jnp.full(2, 0.2), number(100.0), number(3.0))
+    process = MachineState(jnp.zeros(2), number(1e4), number(0.0))
     make = lambda s: experiment(regime, None, s)
     each = samples(seeds, np.zeros((1, 1)))
     found = cramer_rao(make, each, regime.steps, prior=prior, process=process)

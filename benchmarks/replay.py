@@ -15,6 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 from types import ModuleType
+from typing import Literal
 
 SAMPLES = 1_000_000
 LOOP_SAMPLES = 20_000  # the loop is measured on these and scaled
@@ -59,7 +60,7 @@ def oracles() -> ModuleType:
     return module
 
 
-def aslo(t, u, y, engine: str = "scan"):
+def aslo(t, u, y, engine: Literal["fused", "scan"] = "scan"):
     import jax
 
     import aslo_jax

@@ -35,7 +35,7 @@ def fitted(case, start=(5.0, 5.0), samples: int = SAMPLES, **settings: Any):
 
     from aslo_jax import tune
 
-    settings = dict(where=lambda g: g, bounds=(0.3, 2000.0), steps=40) | settings
+    settings = dict(where=lambda g: g, bounds=(0.3, 2000.0), iterations=40) | settings
     return tune.fit(jnp.array(start), monte_carlo(case, samples), **settings)
 
 
@@ -220,7 +220,7 @@ def optimisers() -> list[tuple[str, int, float]]:
             counted,
             where=lambda g: g,
             optimiser=optimiser,
-            steps=60,
+            iterations=60,
             patience=60,
             mode="forward",
         )

@@ -1,5 +1,6 @@
 """A small study for the tests, in a module of its own that other processes can import."""
 
+import jax
 import jax.numpy as jnp
 
 import aslo_jax as aslo
@@ -45,7 +46,7 @@ def settings(**changes) -> dict:
     """The arguments of `run` after experiment and spread."""
     return {
         "samples": SAMPLES,
-        "seed": SEED,
+        "key": jax.random.key(SEED),
         "steps": 20,
         "every": 10,
         "metrics": {"rms": RMSError, "settled": settling, "coasting": CoastingFraction},

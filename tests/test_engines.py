@@ -355,7 +355,7 @@ def test_modules_made_while_something_is_traced():
 
     within = jax.jit(lambda gain: made(gain, False))(1.5)
     np.testing.assert_allclose(within, made(1.5, True), rtol=1e-12)
-    with pytest.raises(NotFusible, match="hand it over in `samples`"):
+    with pytest.raises(NotFusible, match="hand it over in `parameters`"):
         jax.jit(lambda gain: made(gain, True))(1.5)
 
 

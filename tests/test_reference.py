@@ -1,5 +1,6 @@
 """The bound of a study and what decides its errors, against closed forms."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -30,7 +31,9 @@ def experiment() -> aslo.Experiment:
 def test_bound_is_that_of_a_regression(scale):
     """Without noise on the state, samples of the position are linear in its last value."""
     spread = Spread({"noise": ("sensor.deviation", Discrete((0.1,)))})
-    found = study.bound_of(experiment(), spread, STEPS, seed=1, trajectories=2, scale=scale)
+    found = study.bound_of(
+        experiment(), spread, STEPS, key=jax.random.key(1), trajectories=2, scale=scale
+    )
     back = -H * np.arange(STEPS + 1)
     rows = np.stack([np.ones_like(back), back], axis=1)
     start = np.array([[1.0, back[-1]], [0.0, 1.0]])

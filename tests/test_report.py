@@ -4,6 +4,7 @@ import io
 import json
 import re
 
+import jax
 import matplotlib.image
 import numpy as np
 import pytest
@@ -92,7 +93,7 @@ def test_the_numbers_of_the_tables(dataset, page):
     for cell, found in ((2, quantile(size, 0.5)), (4, quantile(size, 0.95))):
         value, low, high = (number(1e3 * x) for x in found)
         assert cells[cell] == [value, low, "to", high]
-    found = rms(size, seed=41)
+    found = rms(size, key=jax.random.key(41))
     assert cells[6][0] == number(1e3 * found.value)
     assert cells[7] == [number(1e3 * size.max())]
     assert cells[8][0] == number(found.value / 5e-4)

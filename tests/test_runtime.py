@@ -135,18 +135,21 @@ def pairs():
     [
         (
             {"a": np.stack([A, -A], 1), "b": B},
-            r"`samples\['a'\]` must have the shape \(N\)",
+            r"`parameters\['a'\]` must have the shape \(N\)",
         ),
-        ({"a": A, "z": B}, "`samples` must have the structure of `like`"),
-        ({"a": A}, "`samples` must have the structure of `like`"),
-        ((A, B), "`samples` must have the structure of `like`"),
-        ({"a": A, "b": list(B)}, "`samples` must have the structure of `like`"),
-        ({"a": A, "b": B[:3]}, "`samples` must have one leading axis of common length"),
-        ({"a": 1.0, "b": 2.0}, "`samples` must have one leading axis of common length"),
-        ({"a": A, "b": B + 0j}, r"`samples\['b'\]` must have the type float64"),
+        ({"a": A, "z": B}, "`parameters` must have the structure of `like`"),
+        ({"a": A}, "`parameters` must have the structure of `like`"),
+        ((A, B), "`parameters` must have the structure of `like`"),
+        ({"a": A, "b": list(B)}, "`parameters` must have the structure of `like`"),
+        ({"a": A, "b": B[:3]}, "`parameters` must have one leading axis of common length"),
+        ({"a": 1.0, "b": 2.0}, "`parameters` must have one leading axis of common length"),
+        ({"a": A, "b": B + 0j}, r"`parameters\['b'\]` must have the type float64"),
         ({"a": A, "b": np.full(5, 2**53 + 1)}, "holds exactly, but got 9007199254740993"),
-        ({"a": A, "b": np.full(5, "x")}, r"`samples\['b'\]` must be an array of numbers"),
-        ({"a": A, "b": "x"}, r"`samples\['b'\]` must be an array of numbers"),
+        (
+            {"a": A, "b": np.full(5, "x")},
+            r"`parameters\['b'\]` must be an array of numbers",
+        ),
+        ({"a": A, "b": "x"}, r"`parameters\['b'\]` must be an array of numbers"),
     ],
 )
 def test_samples_unlike_the_one_of_the_runner_are_refused(pairs, engine, samples, message):

@@ -50,6 +50,8 @@ def schema():
 
 
 def study_of(**changes) -> Study:
+    settings = studies.settings(**changes)
+    seed = aslo.random.seed_of(settings.pop("key"))
     problem = Problem(
         studies.experiment(),
         studies.SPREAD,
@@ -59,7 +61,8 @@ def study_of(**changes) -> Study:
         configuration=None,
         units={},
         entries=None,
-        **studies.settings(**changes),
+        seed=seed,
+        **settings,
     )
     return Study(problem)
 
@@ -258,7 +261,7 @@ def test_existing_store_is_refused(stored):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (dict(seed=4), "another `seed`.*it was 3, now it is 4"),
+        (dict(key=jax.random.key(4)), "another `seed`.*it was 3, now it is 4"),
         (dict(samples=700), "another `samples`.*it was 600, now it is 700"),
         (dict(metrics={"rms": RMSError}), "another `configuration`.*`metrics.settled` was"),
         (dict(chunk=512), "another `chunk`"),
@@ -335,7 +338,12 @@ def test_opening_what_is_no_study(tmp_path):
     ("changes", "message"),
     [
         (dict(samples=0), "`samples` must be a whole number from 1, but got 0"),
-        (dict(seed=-1), "`seed` must be an integer"),
+        (
+            dict(key=4),
+            "`key` must be a key of .* but got 4, which is a seed",
+        ),
+        (dict(key=jax.random.split(jax.random.key(0))), "`key` must be one key"),
+        (dict(key=jax.random.key(0, impl="rbg")), 'of the generator "threefry2x32"'),
         (dict(every=7), "`every` must divide the number of steps, 20, but got 7"),
         (dict(horizon=1.0), "One of the arguments `steps` and `horizon`"),
         (dict(steps=None, horizon=0.015), "whole number of the experiment's intervals"),

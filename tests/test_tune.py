@@ -138,7 +138,7 @@ def test_tuned_point_is_the_best_of_a_fine_grid(name):
         where=lambda g: g,
         key=key,
         optimiser=None if smooth else descent,
-        steps=60,
+        iterations=60,
         patience=60,
     )
     assert found.mode == "forward"
@@ -227,7 +227,7 @@ def test_rates_of_a_bank_over_a_log():
     truth = np.stack([2 * np.cos(2 * t), -4 * np.sin(2 * t)], axis=1)
     loss = losses.Recorded(t, -8 * np.cos(2 * t), y, truth, after=0.5, scale=[2.0, 4.0])
     where = lambda o: (o.filter.rate, o.completion.filters[0].rate)
-    found = tune.fit(observer, loss, where=where, optimiser=optax.adam(0.2), steps=8)
+    found = tune.fit(observer, loss, where=where, optimiser=optax.adam(0.2), iterations=8)
     assert found.mode == "forward" and found.stopped == "iteration limit"
     assert found.loss < 0.5 * found.initial_loss
     assert found.tree.completion.filters[0].rate == found.parameters[1] != 9.0
@@ -243,7 +243,7 @@ def test_diffrax_default_adjoint_is_differentiated_in_reverse():
         )
         return (solution.ys[-1] - 0.3) ** 2
 
-    settings = dict(where=lambda g: g, optimiser=optax.adam(0.2), steps=5)
+    settings = dict(where=lambda g: g, optimiser=optax.adam(0.2), iterations=5)
     found = tune.fit(jnp.array(1.0), loss, **settings)
     assert found.mode == "reverse"
     assert found.loss < found.initial_loss
@@ -253,7 +253,7 @@ def test_many_parameters_are_differentiated_in_reverse():
     loss = lambda x, key: jnp.sum((x - 2.0) ** 2)
     found = tune.fit(jnp.ones(17), loss, where=lambda x: x, optimiser=optax.sgd(0.1))
     assert found.mode == "reverse"
-    few = dict(where=lambda x: x, optimiser=optax.sgd(0.1), steps=1)
+    few = dict(where=lambda x: x, optimiser=optax.sgd(0.1), iterations=1)
     assert tune.fit(jnp.ones(16), loss, **few).mode == "forward"
     assert tune.fit(jnp.ones(16), loss, mode="reverse", **few).mode == "reverse"
 
@@ -279,7 +279,7 @@ def test_traced_once():
     for steps in (2, 30):
         calls.clear()
         optimiser = optax.adam(0.1)
-        tune.fit(jnp.array(9.0), loss, optimiser=optimiser, steps=steps, **ITSELF)
+        tune.fit(jnp.array(9.0), loss, optimiser=optimiser, iterations=steps, **ITSELF)
         counts.append(len(calls))
     assert counts[0] == counts[1] <= 3
 
@@ -292,7 +292,7 @@ def test_why_a_descent_ends():
     assert found.stopped == "converged"
     np.testing.assert_allclose(found.parameters, 2.0, rtol=1e-3)
     assert found.history.gradient_norm[-1] <= 1e-4 * found.loss
-    assert sgd(0.4, steps=2).stopped == "iteration limit"
+    assert sgd(0.4, iterations=2).stopped == "iteration limit"
     assert sgd(1e-9, patience=3).stopped == "no improvement"
     assert len(sgd(1e-9, patience=3).history.loss) == 4
     broken = lambda x, key: jnp.where(x < 5.0, jnp.nan, bowl(x, key))
@@ -302,7 +302,7 @@ def test_why_a_descent_ends():
 
 
 def test_history_is_what_was_visited():
-    found = tune.fit(jnp.array(9.0), bowl, optimiser=optax.sgd(0.2), steps=6, **ITSELF)
+    found = tune.fit(jnp.array(9.0), bowl, optimiser=optax.sgd(0.2), iterations=6, **ITSELF)
     loss, x = found.history.loss, found.history.parameters[:, 0]
     np.testing.assert_allclose(loss, bowl(x, None), rtol=1e-12)
     np.testing.assert_allclose(
@@ -329,7 +329,7 @@ def test_several_starts_find_the_lower_of_two_minima():
 
 
 def test_bounds_hold():
-    settings = dict(optimiser=optax.adam(0.3), steps=60, **ITSELF)
+    settings = dict(optimiser=optax.adam(0.3), iterations=60, **ITSELF)
     for bounds, expected in [((3.0, 20.0), 3.0), ((3.0, None), 3.0), ((None, 1.5), 1.5)]:
         start = jnp.array(1.2 if bounds[0] is None else 9.0)
         found = tune.fit(start, bowl, bounds=bounds, **settings)
@@ -364,7 +364,7 @@ def test_coordinates_there_and_back():
         ("`bounds` must give two bounds", dict(scale="linear", starts=2)),
         ("`scale` must be", dict(scale="logarithmic")),
         ("`mode` must be", dict(mode="backward")),
-        ("`starts`, `steps` and `patience` must be at least 1", dict(steps=0)),
+        ("`starts`, `iterations` and `patience` must be at least 1", dict(iterations=0)),
         ("`where` must select leaves of real numbers", dict(where=lambda x: jnp.array(1))),
     ],
 )
@@ -382,7 +382,7 @@ def test_a_loss_must_be_a_number():
 
 
 def test_progress_bar(capsys):
-    settings = dict(optimiser=optax.sgd(0.1), steps=3, progress=True, **ITSELF)
+    settings = dict(optimiser=optax.sgd(0.1), iterations=3, progress=True, **ITSELF)
     tune.fit(jnp.array(9.0), bowl, **settings)
     assert "loss" in capsys.readouterr().err
 

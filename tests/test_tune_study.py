@@ -36,7 +36,7 @@ def small():
 @pytest.fixture(scope="module")
 def tuned():
     gains = ["A-ASLO.cutoff"]
-    return tune_study(small(), gains, **SETTINGS, steps=20)["A-ASLO"]
+    return tune_study(small(), gains, **SETTINGS, iterations=20)["A-ASLO"]
 
 
 def test_tuned_gains_are_better_than_those_before(tuned):
@@ -49,7 +49,7 @@ def test_tuned_gains_are_better_than_those_around_them(tuned):
     for factor in (0.9, 1.1):
         beside = {"cutoff": factor * tuned.after["cutoff"]}
         content = changed(small(), {"observers.A-ASLO": beside})
-        found = tune_study(content, ["A-ASLO.cutoff"], **SETTINGS, steps=1)
+        found = tune_study(content, ["A-ASLO.cutoff"], **SETTINGS, iterations=1)
         assert found["A-ASLO"].fitted.initial_loss > tuned.fitted.loss
 
 

@@ -65,7 +65,9 @@ def _figures(done: Done, quantity: Any) -> dict[str, Any]:
             figures["relative_max"] = float(x.max())
     name = quantity.columns[0]
     if name in summary.errors:
-        figures["error_rms"] = summary.errors[name].rms
+        errors = summary.errors[name]
+        figures["error_bias"], figures["error_scatter"] = errors.bias, errors.scatter
+        figures["error_rms"] = float(np.hypot(errors.bias, errors.scatter))
         figures["truth_rms"] = summary.sizes[name].rms
     return figures
 

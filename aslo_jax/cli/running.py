@@ -95,6 +95,7 @@ def tabulated(
     end of the log tells, the loop starts in the first row: the log is run again. So it is
     to take the bias of angles from their errors, with `align`."""
     first, offsets, again = None, dict[str, float](), False
+    names: tuple[str, ...] = ()
     while True:
         summary = Summary(reader, machine, rates, substeps)
         summary.offsets = offsets
@@ -110,6 +111,7 @@ def tabulated(
                 log = repaired(log, suspect)
                 piece = estimator(log, suspect)
                 writer.write(piece.columns)
+                names = tuple(piece.columns)
                 summary.add(piece)
                 if drawn:
                     trace.add(piece, log)
@@ -122,5 +124,4 @@ def tabulated(
             offsets = summary.biases()
         else:
             verdict = diagnosing.result(keep_outliers)
-            columns = tuple(piece.columns)
-            return Done(summary, trace, verdict, columns, estimator.observed.slow)
+            return Done(summary, trace, verdict, names, estimator.observed.slow)

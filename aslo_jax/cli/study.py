@@ -84,6 +84,7 @@ def study(
 ) -> None:
     """Run a study; its help is [`HELP`][]."""
     double_precision()
+    from .. import random
     from ..study import open_study, run
     from ..study.cluster import local_cluster
     from ..study.config import read_configuration
@@ -110,7 +111,7 @@ def study(
             configuration.experiment,
             configuration.spread,
             samples=samples,
-            seed=seed,
+            key=random.key(seed),
             engine=engine.value,
             store=out / STORE,
             resume=resume,
@@ -162,6 +163,7 @@ def _influences(
     configuration: "Configuration", seed: int, engine: Engine, quiet: bool
 ) -> "Mapping[str, list[Index]]":
     """The indices of every observer, printed unless `quiet`."""
+    from .. import random
     from ..study.influence import influences
     from ..study.sensitivity import to_text
 
@@ -171,7 +173,7 @@ def _influences(
         configuration.metrics[_rms(configuration)],
         configuration.steps,
         scale=configuration.scale,
-        seed=seed,
+        key=random.key(seed),
         engine=engine.value,
     )
     for observer, table in found.items():

@@ -70,7 +70,7 @@ class Summary:
 
     def __init__(
         self, reader: LogReader, machine: AbstractDescription, rates: Rates, substeps: int
-    ):
+    ) -> None:
         self.reader, self.machine = reader, machine
         self.rates, self.substeps = rates, substeps
         self.interval = reader.interval

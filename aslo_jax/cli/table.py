@@ -10,11 +10,12 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from .._replay import common_interval, run_log
+from .._typing import Engine
 from ..diagnosis import Rows, touched
 from ..logs import Log
 from ..machines import AbstractDescription
 from ..machines.base import Columns, Rates
-from ..observers import AbstractObserver, PhaseLockedLoop
+from ..observers import AbstractObserver, ObserverState, PhaseLockedLoop
 from ..observers.pll import lagless
 
 PIECE = 50_000  # rows replayed at once
@@ -46,12 +47,13 @@ class Replayed:
     """
 
     def __init__(
-        self, observer: AbstractObserver, interval: float | None, substeps: int = 1
-    ):
+        self, observer: AbstractObserver[Any], interval: float | None, substeps: int = 1
+    ) -> None:
         self.observer, self.substeps = observer, substeps
         self.interval = None if interval is None else np.asarray(interval)
         self.slow = ""
-        self._engine, self._state = "auto", None
+        self._engine: Engine = "auto"
+        self._state: ObserverState | None = None
 
     def __call__(
         self,
@@ -114,7 +116,7 @@ class Estimator:
         substeps: int = 4,
         first: int | None = None,
         offsets: Mapping[str, float] | None = None,
-    ):
+    ) -> None:
         self.machine, self.starts = machine, dict[str, int]()
         self.offsets = offsets or {}
         interval = common_interval(t)

@@ -41,7 +41,7 @@ class View:
 class Trace:
     """The rows of a log of `rows` rows that a figure shows, gathered piece by piece."""
 
-    def __init__(self, machine: AbstractDescription, rows: int):
+    def __init__(self, machine: AbstractDescription, rows: int) -> None:
         self.machine, self.rows = machine, rows
         self._bucket = -(-rows // BUCKETS) if rows > 2 * BUCKETS else 1
         self._least: Columns = {}

@@ -118,7 +118,7 @@ def tune(
             gain or (),
             samples=samples,
             seed=seed,
-            steps=iterations,
+            iterations=iterations,
             after=after,
             progress=lambda name: say(f"tuning {name}"),
         )

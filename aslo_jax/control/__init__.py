@@ -16,3 +16,17 @@ from .tracking import (
     MechanicalFeedback as MechanicalFeedback,
     Tracking as Tracking,
 )
+
+__all__ = [
+    "AbstractController",
+    "BallBeamTracking",
+    "BearingFeedback",
+    "FieldOriented",
+    "ForcedStart",
+    "MagneticLevitation",
+    "MechanicalFeedback",
+    "MotorFeedback",
+    "OpenLoop",
+    "Tracking",
+    "rotate",
+]

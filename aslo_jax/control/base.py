@@ -4,14 +4,17 @@ import abc
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import unlike
+from .._module import Module
+from .._typing import PyTree, RealArray
 from ..plants import AbstractPlant
 
+__all__ = ["AbstractController", "OpenLoop", "controlled"]
 
-class AbstractController(eqx.Module):
+
+class AbstractController(Module):
     """From what it is fed to the input u, with a state of its own where it needs one.
 
     In continuous time the state is integrated with the plant; sampled, it advances by
@@ -50,12 +53,12 @@ class OpenLoop(AbstractController):
 
     signal: Callable[[Float[Array, ""]], PyTree]
 
-    def init(self, fed):
+    def init(self, fed: PyTree) -> PyTree:
         del fed
 
-    def vector_field(self, t, state, fed):
+    def vector_field(self, t: RealArray, state: PyTree, fed: PyTree) -> PyTree:
         del t, state, fed
 
-    def __call__(self, t, state, fed):
+    def __call__(self, t: RealArray, state: PyTree, fed: PyTree) -> PyTree:
         del state, fed
         return self.signal(t)

@@ -7,11 +7,23 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real
+from .._module import Module
+from .._typing import PyTree, RealArray
 from ..plants import PMSM
 from .base import AbstractController
 
+__all__ = [
+    "CurrentState",
+    "FieldOriented",
+    "ForcedStart",
+    "ForcedState",
+    "MotorFeedback",
+    "across",
+    "rotate",
+]
 
-class MotorFeedback(eqx.Module):
+
+class MotorFeedback(Module):
     """What a motor controller is fed: `current` (A, stationary frame, shape `(2,)`), the
     electrical `angle` (rad) and the mechanical `speed` (rad/s), measured or estimated."""
 
@@ -20,7 +32,7 @@ class MotorFeedback(eqx.Module):
     speed: Float[Array, ""]
 
 
-class CurrentState(eqx.Module):
+class CurrentState(Module):
     """The integrals of the controllers: torque (N m) and voltage (V, stationary frame)."""
 
     torque: Float[Array, ""]
@@ -60,7 +72,7 @@ class FieldOriented(AbstractController):
     current_bandwidth: Float[Array, ""] = eqx.field(converter=real, default=2000.0)
     speed_bandwidth: Float[Array, ""] = eqx.field(converter=real, default=300.0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("current_limit", self.current_limit, "A")
         positive("voltage_limit", self.voltage_limit, "V")
         positive("current_bandwidth", self.current_bandwidth, "rad/s")
@@ -113,14 +125,14 @@ class FieldOriented(AbstractController):
         u, voltage_rate = self.voltage(state, fed, current, fed.angle, speed)
         return u, CurrentState(torque_rate, voltage_rate)
 
-    def vector_field(self, t, state, fed):
+    def vector_field(self, t: RealArray, state: PyTree, fed: PyTree) -> PyTree:
         return self._law(t, state, fed)[1]
 
-    def __call__(self, t, state, fed):
+    def __call__(self, t: RealArray, state: PyTree, fed: PyTree) -> PyTree:
         return self._law(t, state, fed)[0]
 
 
-class ForcedState(eqx.Module):
+class ForcedState(Module):
     """The state of the controller it starts, and the current (A) on the flux axis."""
 
     inner: CurrentState
@@ -148,7 +160,7 @@ class ForcedStart(AbstractController):
     settle: Float[Array, ""] = eqx.field(converter=real, default=0.2)
     blend: Float[Array, ""] = eqx.field(converter=real, default=0.1)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("current", self.current, "A")
         positive("speed", self.speed, "rad/s")
         positive("align", self.align, "s")
@@ -192,8 +204,8 @@ class ForcedStart(AbstractController):
         flux_rate = jnp.where(closed, fade, b * (seen[0] - state.flux_current))
         return u, ForcedState(CurrentState(torque_rate, voltage_rate), flux_rate)
 
-    def vector_field(self, t, state, fed):
+    def vector_field(self, t: RealArray, state: PyTree, fed: PyTree) -> PyTree:
         return self._law(t, state, fed)[1]
 
-    def __call__(self, t, state, fed):
+    def __call__(self, t: RealArray, state: PyTree, fed: PyTree) -> PyTree:
         return self._law(t, state, fed)[0]

@@ -7,11 +7,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real
+from .._module import Module
+from .._typing import PyTree, RealArray
 from ..plants import MagneticBearing
 from .base import AbstractController
 
+__all__ = ["BearingFeedback", "MagneticLevitation"]
 
-class BearingFeedback(eqx.Module):
+
+class BearingFeedback(Module):
     """What a bearing controller is fed: `current` (A) and `flux` (Wb) of the coils, both of
     shape `(2,)`, the `position` (m) and the `velocity` (m/s) of the body, measured or
     estimated."""
@@ -67,7 +71,7 @@ class MagneticLevitation(AbstractController):
     ripple_phase: Float[Array, ""] = eqx.field(converter=real, default=jnp.pi / 2)
     rest: Float[Array, ""] = eqx.field(converter=real, default=0.0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("bias", self.bias, "A")
         positive("bandwidth", self.bandwidth, "rad/s")
         positive("flux_bandwidth", self.flux_bandwidth, "rad/s")
@@ -111,10 +115,10 @@ class MagneticLevitation(AbstractController):
         phase = w * t + jnp.stack([0.0 * self.ripple_phase, self.ripple_phase])
         return self.ripple * jnp.cos(phase), self.ripple / w * jnp.sin(phase)
 
-    def vector_field(self, t, state, fed):
+    def vector_field(self, t: RealArray, state: PyTree, fed: PyTree) -> PyTree:
         return self.force(t, state, fed)[1]
 
-    def __call__(self, t, state, fed):
+    def __call__(self, t: RealArray, state: PyTree, fed: PyTree) -> PyTree:
         share = self.force(t, state, fed)[0] / self.force_limit
         ripple, follow = self.excitation(t)
         flux = self.bias_flux * jnp.stack([1.0 + share, 1.0 - share]) + follow

@@ -5,9 +5,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import real
+from .._module import Module
 
 
-class Wave(eqx.Module):
+class Wave(Module):
     """`offset + amplitude sin(frequency t + phase)`, entry by entry.
 
     - `offset` and `amplitude` in the units of the signal, `frequency` (rad/s), `phase`
@@ -24,7 +25,7 @@ class Wave(eqx.Module):
         return self.offset + self.amplitude * wave
 
 
-class Supply(eqx.Module):
+class Supply(Module):
     """A two-phase voltage that turns, `a(t) [cos b(t), sin b(t)]`, shape `(2,)`, with
     modulated amplitude and phase:
 

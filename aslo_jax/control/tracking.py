@@ -8,12 +8,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real
+from .._module import Module
 from .._small import solve_rows
+from .._typing import PyTree, RealArray
 from ..plants import AbstractMechanicalSystem, BallBeam
 from .base import AbstractController
 
+__all__ = ["BallBeamTracking", "MechanicalFeedback", "Tracking"]
 
-class MechanicalFeedback(eqx.Module):
+
+class MechanicalFeedback(Module):
     """What a tracking controller is fed: the coordinates and their velocities, measured or
     estimated, each of shape `(n,)`."""
 
@@ -47,16 +51,16 @@ class Tracking(AbstractController):
     tracked: tuple[int, ...] = eqx.field(static=True)
     bandwidth: Float[Array, "*m"] = eqx.field(converter=real, default=5.0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("bandwidth", self.bandwidth, "rad/s")
 
-    def init(self, fed: MechanicalFeedback):
+    def init(self, fed: MechanicalFeedback) -> PyTree:
         del fed
 
-    def vector_field(self, t, state, fed):
+    def vector_field(self, t: RealArray, state: PyTree, fed: PyTree) -> PyTree:
         del t, state, fed
 
-    def __call__(self, t, state, fed):
+    def __call__(self, t: RealArray, state: PyTree, fed: PyTree) -> PyTree:
         del state
         return self.force(fed, *_motion(self.reference, t))
 
@@ -99,18 +103,18 @@ class BallBeamTracking(AbstractController):
     beam_bandwidth: Float[Array, ""] = eqx.field(converter=real, default=12.0)
     tilt: Float[Array, ""] = eqx.field(converter=real, default=0.5)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("bandwidth", self.bandwidth, "rad/s")
         positive("beam_bandwidth", self.beam_bandwidth, "rad/s")
         positive("tilt", self.tilt, "rad")
 
-    def init(self, fed: MechanicalFeedback):
+    def init(self, fed: MechanicalFeedback) -> PyTree:
         del fed
 
-    def vector_field(self, t, state, fed):
+    def vector_field(self, t: RealArray, state: PyTree, fed: PyTree) -> PyTree:
         del t, state, fed
 
-    def __call__(self, t, state, fed):
+    def __call__(self, t: RealArray, state: PyTree, fed: PyTree) -> PyTree:
         del state
         wanted, speed, acceleration = _motion(self.reference, t)
         w = self.bandwidth

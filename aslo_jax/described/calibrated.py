@@ -13,7 +13,7 @@ from ..tune import Calibration, calibrate
 
 
 def calibrate_machine(
-    machine: AbstractDescription,
+    machine: AbstractDescription[Any, Any],
     log: Log,
     parameters: Sequence[str] = (),
     **settings: Any,
@@ -55,7 +55,7 @@ def calibrate_machine(
     )
 
 
-def values_of(machine: AbstractDescription, found: Calibration) -> dict[str, Any]:
+def values_of(machine: AbstractDescription[Any, Any], found: Calibration) -> dict[str, Any]:
     """The keys of `[machine]` that a calibration changes, with their new values: numbers,
     or lists of them. A value that is not determined stays."""
     values: dict[str, Any] = {}

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .. import random
+from .._typing import Engine
 from ..engines import run_batch
 from ..experiment import Experiment
 from ..logs import Log
@@ -51,9 +52,9 @@ def tune_study(
     *,
     samples: int = 128,
     seed: int = 0,
-    steps: int = 40,
+    iterations: int = 40,
     after: float = 0.0,
-    engine: str = "auto",
+    engine: Engine = "auto",
     threads: int | None = None,
     progress: Callable[[str], None] = lambda name: None,
 ) -> dict[str, Tuned]:
@@ -64,7 +65,7 @@ def tune_study(
       is a parameter of it as it stands;
     - `samples`: of the file's spread, drawn with `seed`, the same at every iteration; as
       many fresh ones judge the result;
-    - `steps`: iterations of [`fit`][] at most; `after` (s): from when on errors count;
+    - `iterations`: of [`fit`][] at most; `after` (s): from when on errors count;
     - `progress(name)`: called before each observer;
     - `engine`, `threads`: of [`aslo_jax.run_batch`][].
 
@@ -79,7 +80,7 @@ def tune_study(
     for name, named in keys.items():
         progress(name)
         found[name] = _tuned(
-            configuration, content, name, named, samples, seed, steps, after,
+            configuration, content, name, named, samples, seed, iterations, after,
             engine, threads,
         )  # fmt: skip
     return found
@@ -200,7 +201,7 @@ def _places(
 
 
 def _tuned(
-    configuration, content, name, places, samples, seed, steps, after, engine, threads
+    configuration, content, name, places, samples, seed, iterations, after, engine, threads
 ) -> Tuned:
     loop = _alone(configuration, name)
     sampler = Sampler(loop, configuration.spread, seed, 2 * samples)
@@ -233,7 +234,7 @@ def _tuned(
         where=lambda gains: [gains[k] for k in before],
         key=key,
         bounds=[(v / SPAN, v * SPAN) for v in before.values()],
-        steps=steps,
+        iterations=iterations,
         mode="forward",
     )
     fresh = random.fold(key, 1)

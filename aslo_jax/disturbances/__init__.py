@@ -18,3 +18,26 @@ from .quantisation import Encoder as Encoder, Quantisation as Quantisation
 from .saturation import Saturation as Saturation
 from .sinusoid import Sinusoid as Sinusoid
 from .streams import check_streams as check_streams
+
+__all__ = [
+    "AbstractDisturbance",
+    "AbstractMemoryless",
+    "AbstractSampled",
+    "Bias",
+    "Chain",
+    "DeadTime",
+    "Delay",
+    "DisturbanceState",
+    "Drift",
+    "Encoder",
+    "GainError",
+    "MissingSamples",
+    "ParasiticLag",
+    "Quantisation",
+    "RandomWalk",
+    "SampledNoise",
+    "Saturation",
+    "Sinusoid",
+    "check_streams",
+    "held_index",
+]

@@ -2,12 +2,22 @@
 
 import abc
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
+
+from .._module import Module
+from .._typing import HostArray, PyTree, RealArray
+
+__all__ = [
+    "AbstractAtSamples",
+    "AbstractDisturbance",
+    "AbstractMemoryless",
+    "AbstractSampled",
+    "DisturbanceState",
+]
 
 
-class DisturbanceState(eqx.Module):
+class DisturbanceState(Module):
     """The state of a disturbance, a value: what is integrated beside the plant, and what is
     updated at the samples. Either is empty, `None`, where there is nothing of the kind."""
 
@@ -15,7 +25,7 @@ class DisturbanceState(eqx.Module):
     sampled: PyTree = None
 
 
-class AbstractDisturbance(eqx.Module):
+class AbstractDisturbance(Module):
     """Something a signal passes through, with a state of its own where it needs one.
 
     At every instant the disturbed signal is a function of the time `t` (s), the state and
@@ -72,14 +82,16 @@ class AbstractDisturbance(eqx.Module):
 class AbstractAtSamples(AbstractDisturbance):
     """A disturbance with nothing to integrate and without jumps of its own."""
 
-    def vector_field(self, t, state, signal, output=None):
+    def vector_field(
+        self, t: RealArray, state: DisturbanceState, signal: PyTree, output: PyTree = None
+    ) -> PyTree:
         del t, state, signal, output
 
     @property
-    def has_jumps(self):
+    def has_jumps(self) -> bool:
         return False
 
-    def jumps(self, t0, t1):
+    def jumps(self, t0: float, t1: float) -> HostArray:
         del t0, t1
         return np.empty(0)
 
@@ -87,11 +99,13 @@ class AbstractAtSamples(AbstractDisturbance):
 class AbstractMemoryless(AbstractAtSamples):
     """A disturbance without a state and without jumps: only `__call__` is left to say."""
 
-    def init(self, t, signal, output=None):
+    def init(self, t: RealArray, signal: PyTree, output: PyTree = None) -> DisturbanceState:
         del t, signal, output
         return DisturbanceState()
 
-    def update(self, t, state, signal, output=None):
+    def update(
+        self, t: RealArray, state: DisturbanceState, signal: PyTree, output: PyTree = None
+    ) -> PyTree:
         del t, state, signal, output
 
 

@@ -6,7 +6,10 @@ from jaxtyping import Array, Float
 
 from .. import random
 from .._checks import real
+from .._typing import PyTree, RealArray
 from .base import AbstractMemoryless, AbstractSampled, DisturbanceState
+
+__all__ = ["Bias", "Drift", "RandomWalk"]
 
 
 class Bias(AbstractMemoryless):
@@ -14,7 +17,13 @@ class Bias(AbstractMemoryless):
 
     offset: Float[Array, "*signal"] = eqx.field(converter=real)
 
-    def __call__(self, t, state, signal, output=None):
+    def __call__(
+        self,
+        t: RealArray,
+        state: DisturbanceState | None,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
         del t, state, output
         return signal + self.offset
 
@@ -25,7 +34,13 @@ class Drift(AbstractMemoryless):
 
     rate: Float[Array, "*signal"] = eqx.field(converter=real)
 
-    def __call__(self, t, state, signal, output=None):
+    def __call__(
+        self,
+        t: RealArray,
+        state: DisturbanceState | None,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
         del state, output
         return signal + self.rate * t
 
@@ -39,21 +54,29 @@ class RandomWalk(AbstractSampled):
     """
 
     deviation: Float[Array, "*signal"] = eqx.field(converter=real)
-    key: random.Key
+    key: random.Key = eqx.field(converter=random.as_key)
     stream: int = eqx.field(static=True, default=1)
 
-    def init(self, t, signal, output=None):
+    def init(self, t: RealArray, signal: PyTree, output: PyTree = None) -> DisturbanceState:
         del t, output
         walk = jnp.zeros(jnp.shape(signal), self.deviation.dtype)
         return DisturbanceState(sampled=(jnp.zeros((), jnp.int32), walk))
 
-    def update(self, t, state, signal, output=None):
+    def update(
+        self, t: RealArray, state: DisturbanceState, signal: PyTree, output: PyTree = None
+    ) -> PyTree:
         del t, signal, output
         count, walk = state.sampled
         noise = random.normal(self.key, count, self.stream, walk.shape, walk.dtype)
         return count + 1, walk + self.deviation * noise
 
-    def __call__(self, t, state, signal, output=None):
+    def __call__(
+        self,
+        t: RealArray,
+        state: DisturbanceState | None,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
         del t, output
         assert state is not None
         return signal + state.sampled[1]

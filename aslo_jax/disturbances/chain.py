@@ -5,9 +5,11 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import PyTree
 
+from .._typing import HostArray, PyTree, RealArray
 from .base import AbstractDisturbance, DisturbanceState
+
+__all__ = ["Chain"]
 
 
 class Chain(AbstractDisturbance):
@@ -19,14 +21,14 @@ class Chain(AbstractDisturbance):
 
     parts: tuple[AbstractDisturbance, ...]
 
-    def __init__(self, *parts: AbstractDisturbance):
+    def __init__(self, *parts: AbstractDisturbance) -> None:
         self.parts = parts
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if not self.parts:
             raise ValueError("Argument `parts` must hold a disturbance, but is empty.")
 
-    def init(self, t, signal, output=None):
+    def init(self, t: RealArray, signal: PyTree, output: PyTree = None) -> DisturbanceState:
         states: list[DisturbanceState] = []
         for part in self.parts:
             state = part.init(t, signal, output)
@@ -42,22 +44,32 @@ class Chain(AbstractDisturbance):
             tuple(s.continuous for s in states), tuple(s.sampled for s in states)
         )
 
-    def vector_field(self, t, state, signal, output=None):
+    def vector_field(
+        self, t: RealArray, state: DisturbanceState, signal: PyTree, output: PyTree = None
+    ) -> PyTree:
         passed = self._passed(t, state, signal, output)
         return tuple(part.vector_field(t, s, x, output) for part, s, x, _ in passed)
 
-    def update(self, t, state, signal, output=None):
+    def update(
+        self, t: RealArray, state: DisturbanceState, signal: PyTree, output: PyTree = None
+    ) -> PyTree:
         passed = self._passed(t, state, signal, output)
         return tuple(part.update(t, s, x, output) for part, s, x, _ in passed)
 
-    def __call__(self, t, state, signal, output=None):
+    def __call__(
+        self,
+        t: RealArray,
+        state: DisturbanceState | None,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
         return list(self._passed(t, state, signal, output))[-1][-1]
 
     @property
-    def has_jumps(self):
+    def has_jumps(self) -> bool:
         return any(part.has_jumps for part in self.parts)
 
-    def jumps(self, t0, t1):
+    def jumps(self, t0: float, t1: float) -> HostArray:
         return np.unique(np.concatenate([part.jumps(t0, t1) for part in self.parts]))
 
     def _passed(

@@ -5,10 +5,13 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import nonnegative, positive, real
-from .base import AbstractMemoryless
+from .._typing import PyTree, RealArray
+from .base import AbstractMemoryless, DisturbanceState
+
+__all__ = ["SQRT3", "DeadTime", "first_two"]
 
 SQRT3 = math.sqrt(3.0)
 
@@ -39,11 +42,17 @@ class DeadTime(AbstractMemoryless):
     threshold: Float[Array, ""] = eqx.field(converter=real)
     current: Callable[[PyTree], Float[Array, " 2"]] = first_two
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         nonnegative("voltage", self.voltage)
         positive("threshold", self.threshold, "A")
 
-    def __call__(self, t, state, signal, output=None):
+    def __call__(
+        self,
+        t: RealArray,
+        state: DisturbanceState | None,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
         del t, state
         if output is None:
             raise ValueError(

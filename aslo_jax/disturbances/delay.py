@@ -8,7 +8,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import is_concrete, real, whole
+from .._typing import PyTree, RealArray
 from .base import AbstractSampled, DisturbanceState
+
+__all__ = ["Delay"]
 
 
 class Delay(AbstractSampled):
@@ -29,7 +32,7 @@ class Delay(AbstractSampled):
     delay: Float[Array, ""] = eqx.field(converter=real)
     longest: int = eqx.field(static=True)
 
-    def __init__(self, delay: Float[Array, ""] | float, longest: int | None = None):
+    def __init__(self, delay: Float[Array, ""] | float, longest: int | None = None) -> None:
         self.delay = real(delay)
         if longest is None:
             if not is_concrete(delay):
@@ -41,7 +44,7 @@ class Delay(AbstractSampled):
             longest = max(math.ceil(value), 1) if math.isfinite(value) else 1
         self.longest = longest
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         whole("longest", self.longest)
         if eqx.is_array(self.delay) and is_concrete(self.delay):
             value = np.asarray(self.delay)
@@ -51,17 +54,25 @@ class Delay(AbstractSampled):
                     f"{value.tolist()}."
                 )
 
-    def init(self, t, signal, output=None):
+    def init(self, t: RealArray, signal: PyTree, output: PyTree = None) -> DisturbanceState:
         del t, output
         signal = jnp.asarray(signal)
         past = jnp.broadcast_to(signal, (self.longest, *signal.shape))
         return DisturbanceState(sampled=past)
 
-    def update(self, t, state, signal, output=None):
+    def update(
+        self, t: RealArray, state: DisturbanceState, signal: PyTree, output: PyTree = None
+    ) -> PyTree:
         del t, output
         return self._values(state, signal)[:-1]
 
-    def __call__(self, t, state, signal, output=None):
+    def __call__(
+        self,
+        t: RealArray,
+        state: DisturbanceState | None,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
         del t, output
         values = self._values(state, signal)
         last = self.longest - 1

@@ -4,7 +4,10 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from .._checks import real
-from .base import AbstractMemoryless
+from .._typing import PyTree, RealArray
+from .base import AbstractMemoryless, DisturbanceState
+
+__all__ = ["GainError"]
 
 
 class GainError(AbstractMemoryless):
@@ -13,6 +16,12 @@ class GainError(AbstractMemoryless):
 
     error: Float[Array, "*signal"] = eqx.field(converter=real)
 
-    def __call__(self, t, state, signal, output=None):
+    def __call__(
+        self,
+        t: RealArray,
+        state: DisturbanceState | None,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
         del t, state, output
         return signal * (1.0 + self.error)

@@ -7,7 +7,10 @@ from jaxtyping import Array, Bool, Float
 
 from .. import random
 from .._checks import is_concrete, real
+from .._typing import PyTree, RealArray
 from .base import AbstractSampled, DisturbanceState
+
+__all__ = ["MissingSamples"]
 
 
 class MissingSamples(AbstractSampled):
@@ -19,10 +22,10 @@ class MissingSamples(AbstractSampled):
     """
 
     probability: Float[Array, ""] = eqx.field(converter=real)
-    key: random.Key
+    key: random.Key = eqx.field(converter=random.as_key)
     stream: int = eqx.field(static=True, default=2)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if eqx.is_array(self.probability) and is_concrete(self.probability):
             value = np.asarray(self.probability)
             if not ((value >= 0) & (value <= 1)).all():
@@ -30,14 +33,22 @@ class MissingSamples(AbstractSampled):
                     f"Argument `probability` must be in [0, 1], but got {value.tolist()}."
                 )
 
-    def init(self, t, signal, output=None):
+    def init(self, t: RealArray, signal: PyTree, output: PyTree = None) -> DisturbanceState:
         del t, output
         return DisturbanceState(sampled=(jnp.zeros((), jnp.int32), jnp.asarray(signal)))
 
-    def update(self, t, state, signal, output=None):
+    def update(
+        self, t: RealArray, state: DisturbanceState, signal: PyTree, output: PyTree = None
+    ) -> PyTree:
         return state.sampled[0] + 1, self(t, state, signal, output)
 
-    def __call__(self, t, state, signal, output=None):
+    def __call__(
+        self,
+        t: RealArray,
+        state: DisturbanceState | None,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
         del t, output
         assert state is not None
         count, held = state.sampled

@@ -7,7 +7,10 @@ from jaxtyping import Array, Float
 
 from .. import random
 from .._checks import positive, real
+from .._typing import HostArray, PyTree, RealArray
 from .base import AbstractDisturbance, DisturbanceState
+
+__all__ = ["SampledNoise", "held_index"]
 
 
 class SampledNoise(AbstractDisturbance):
@@ -21,23 +24,33 @@ class SampledNoise(AbstractDisturbance):
 
     deviation: Float[Array, "*signal"] = eqx.field(converter=real)
     interval: float = eqx.field(static=True)
-    key: random.Key
+    key: random.Key = eqx.field(converter=random.as_key)
     stream: int = eqx.field(static=True, default=0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("interval", self.interval, "s")
 
-    def init(self, t, signal, output=None):
+    def init(self, t: RealArray, signal: PyTree, output: PyTree = None) -> DisturbanceState:
         del t, signal, output
         return DisturbanceState()
 
-    def vector_field(self, t, state, signal, output=None):
+    def vector_field(
+        self, t: RealArray, state: DisturbanceState, signal: PyTree, output: PyTree = None
+    ) -> PyTree:
         del t, state, signal, output
 
-    def update(self, t, state, signal, output=None):
+    def update(
+        self, t: RealArray, state: DisturbanceState, signal: PyTree, output: PyTree = None
+    ) -> PyTree:
         del t, state, signal, output
 
-    def __call__(self, t, state, signal, output=None):
+    def __call__(
+        self,
+        t: RealArray,
+        state: DisturbanceState | None,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
         del state, output
         signal = jnp.asarray(signal)
         index = held_index(t, self.interval)
@@ -47,10 +60,10 @@ class SampledNoise(AbstractDisturbance):
         return signal + self.deviation * noise
 
     @property
-    def has_jumps(self):
+    def has_jumps(self) -> bool:
         return True
 
-    def jumps(self, t0, t1):
+    def jumps(self, t0: float, t1: float) -> HostArray:
         first, last = int(np.floor(t0 / self.interval)), int(np.ceil(t1 / self.interval))
         times = np.arange(first, last + 1) * self.interval
         return times[(times > t0) & (times < t1)]

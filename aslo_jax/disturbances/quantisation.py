@@ -5,7 +5,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real
-from .base import AbstractMemoryless
+from .._typing import PyTree, RealArray
+from .base import AbstractMemoryless, DisturbanceState
+
+__all__ = ["Encoder", "Quantisation"]
 
 
 class Quantisation(AbstractMemoryless):
@@ -18,10 +21,16 @@ class Quantisation(AbstractMemoryless):
 
     step: Float[Array, "*signal"] = eqx.field(converter=real)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("step", self.step)
 
-    def __call__(self, t, state, signal, output=None):
+    def __call__(
+        self,
+        t: RealArray,
+        state: DisturbanceState | None,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
         del t, state, output
         return jnp.round(signal / self.step) * self.step
 
@@ -39,10 +48,16 @@ class Encoder(AbstractMemoryless):
     resolution: Float[Array, " p"] = eqx.field(converter=real)
     angles: tuple[bool, ...] = eqx.field(static=True, default=())
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("resolution", self.resolution)
 
-    def __call__(self, t, state, signal, output=None):
+    def __call__(
+        self,
+        t: RealArray,
+        state: DisturbanceState | None,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
         del t, state, output
         counts = jnp.round(signal / self.resolution)
         if not self.angles:

@@ -6,7 +6,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import is_concrete, real
-from .base import AbstractMemoryless
+from .._typing import PyTree, RealArray
+from .base import AbstractMemoryless, DisturbanceState
+
+__all__ = ["Saturation"]
 
 
 class Saturation(AbstractMemoryless):
@@ -16,7 +19,7 @@ class Saturation(AbstractMemoryless):
     lower: Float[Array, "*signal"] = eqx.field(converter=real)
     upper: Float[Array, "*signal"] = eqx.field(converter=real)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         ends = self.lower, self.upper
         if all(eqx.is_array(end) for end in ends) and is_concrete(*ends):
             low, high = map(np.asarray, ends)
@@ -26,6 +29,12 @@ class Saturation(AbstractMemoryless):
                     f"{low.tolist()} and {high.tolist()}."
                 )
 
-    def __call__(self, t, state, signal, output=None):
+    def __call__(
+        self,
+        t: RealArray,
+        state: DisturbanceState | None,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
         del t, state, output
         return jnp.clip(signal, self.lower, self.upper)

@@ -5,7 +5,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import real
-from .base import AbstractMemoryless
+from .._typing import PyTree, RealArray
+from .base import AbstractMemoryless, DisturbanceState
+
+__all__ = ["Sinusoid"]
 
 
 class Sinusoid(AbstractMemoryless):
@@ -16,6 +19,12 @@ class Sinusoid(AbstractMemoryless):
     frequency: Float[Array, "*frequency"] = eqx.field(converter=real)
     phase: Float[Array, "*phase"] = eqx.field(converter=real, default=0.0)
 
-    def __call__(self, t, state, signal, output=None):
+    def __call__(
+        self,
+        t: RealArray,
+        state: DisturbanceState | None,
+        signal: PyTree,
+        output: PyTree = None,
+    ) -> PyTree:
         del state, output
         return signal + self.amplitude * jnp.sin(self.frequency * t + self.phase)

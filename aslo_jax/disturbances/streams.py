@@ -4,11 +4,13 @@ from itertools import combinations
 
 import jax
 import numpy as np
-from jaxtyping import PyTree
 
 from .. import random
 from .._checks import is_concrete
+from .._typing import PyTree
 from .base import AbstractDisturbance
+
+__all__ = ["check_streams"]
 
 
 def check_streams(tree: PyTree) -> None:

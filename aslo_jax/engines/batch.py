@@ -7,15 +7,19 @@ from typing import Any, SupportsIndex
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import PyTree
+import wadler_lindig as wl
 
-from .._checks import counted, divides, whole
+from .. import _choices
+from .._checks import counted, divides, one_of, whole
+from .._module import WIDTH
+from .._typing import Engine, PyTree, RunningEngine
 from ..experiment import Experiment, Record
 from ..metrics import AbstractMetric
+from ..metrics.base import MakeMetric, metric_of_each
 from .fused.batch import Fused
 from .fused.plan import Batch as Batch, Plan
 from .fused.refusal import notice, refusal
-from .samples import arrays, fitted, lanes_of, shape_of
+from .samples import arrays, fitted, lanes_of, shape_of, words
 
 
 class Runner:
@@ -29,7 +33,7 @@ class Runner:
       repeated up to a whole block. The same samples in the same place of a block give the
       same bits then, whatever the size of a chunk; those of `"fused"` always do.
 
-    Called with samples, every leaf with a leading axis of length N, it returns a
+    Called with the parameters of N samples, as [`run_batch`][] takes them, it returns a
     [`Batch`][]. `engine` tells which one it is, `shapes` what one sample gives: the leaves
     of a batch without that axis and, in the record, without that of time. Sent to another
     process, it is not traced again, but compiled there; with the engine `"fused"` it has
@@ -41,22 +45,25 @@ class Runner:
     than `like`, or whole numbers that its types do not hold.
     """
 
-    engine: str
+    engine: RunningEngine
+    steps: int
+    every: int
+    block: int | None
     shapes: Batch
 
     def __init__(
         self,
-        make: Callable[[PyTree], Experiment],
+        make: Callable[[PyTree], Experiment[Any]],
         like: PyTree,
         steps: SupportsIndex,
         *,
-        metrics: Mapping[str, AbstractMetric] | None = None,
-        record: Callable[[Record], PyTree] | None = None,
+        metrics: Mapping[str, MakeMetric] | None = None,
+        record: Callable[[Record[Any]], PyTree] | None = None,
         every: SupportsIndex | None = None,
-        engine: str = "auto",
+        engine: Engine = "auto",
         threads: SupportsIndex | None = None,
         block: SupportsIndex | None = None,
-    ):
+    ) -> None:
         steps = counted("steps", steps)
         every = steps if every is None else counted("every", every)
         divides(every, steps)
@@ -66,13 +73,10 @@ class Runner:
         if block is not None:
             block = counted("block", block)
             whole("block", block)
-        if engine not in ("auto", "fused", "scan"):
-            raise ValueError(
-                f'Argument `engine` must be "auto", "fused" or "scan", but got {engine!r}.'
-            )
+        one_of("engine", engine, _choices.Engine)
         self.steps, self.every, self.block = steps, every, block
-        self._plan = Plan(make, dict(metrics or {}), record)
-        self._like = like = jax.tree.map(shape_of, like)
+        self._like = like = jax.tree.map(shape_of, words(like))
+        self._plan = Plan(make, _metrics(make, like, metrics or {}), record)
         self._fused, self._may_scan = None, engine == "auto"
         if engine != "scan":
             self._fused = self._traced(threads)
@@ -82,6 +86,14 @@ class Runner:
             self.shapes = Batch(jax.eval_shape(self._plan.results, state), kept)
         else:
             self.shapes = Batch(self._fused.program.final, self._fused.program.record)
+
+    def __repr__(self) -> str:
+        """What it runs, and on what; not how."""
+        like = wl.pformat(self._like, width=WIDTH, short_arrays=True, custom=_shape)
+        parts = [f"like={like}", f"steps={self.steps}"]
+        parts += [f"metrics={sorted(self.shapes.metrics)}"] if self.shapes.metrics else []
+        parts += [f"every={self.every}"] if self.every != self.steps else []
+        return f"Runner({', '.join(parts)}, engine={self.engine!r})"
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what it was traced from, whose classes may exist in this process only."""
@@ -109,8 +121,8 @@ class Runner:
         samples = jax.tree.map(one, self._like)
         eqx.filter_eval_shape(_scanned, self._plan, samples, self.steps, self.every)
 
-    def __call__(self, samples: PyTree) -> Batch:
-        samples = fitted(arrays(samples), self._like)
+    def __call__(self, parameters: PyTree) -> Batch:
+        samples = fitted(arrays(parameters), self._like)
         if self._fused is not None:
             return self._fused(samples)
         return self._scanned(samples)
@@ -146,22 +158,25 @@ class Runner:
 
 
 def run_batch(
-    make: Callable[[PyTree], Experiment],
-    samples: PyTree,
+    make: Callable[[PyTree], Experiment[Any]],
+    parameters: PyTree,
     steps: SupportsIndex,
     *,
-    metrics: Mapping[str, AbstractMetric] | None = None,
-    record: Callable[[Record], PyTree] | None = None,
+    metrics: Mapping[str, MakeMetric] | None = None,
+    record: Callable[[Record[Any]], PyTree] | None = None,
     every: SupportsIndex | None = None,
-    engine: str = "auto",
+    engine: Engine = "auto",
     threads: SupportsIndex | None = None,
 ) -> Batch:
-    """Run `make(sample)` for `steps` samples in time, for every sample of a batch. For many
+    """Run `make(sample)` for `steps` intervals, for every sample of a batch. For many
     batches of one kind use a [`Runner`][], which compiles once.
 
-    - `samples`: a pytree, every leaf with a leading axis of length N; what `make` uses of
-      it may be anything: parameters, initial states, keys of random numbers;
-    - `metrics`: by name, each computed inside the loop;
+    - `parameters`: those of the N samples, a pytree with a leading axis of length N in
+      every leaf; what `make` uses of it may be anything: gains, initial states, keys of
+      random numbers (`make` is given the two words of a key);
+    - `metrics`: by name, each computed inside the loop: an instance, of the observer that
+      it names, or a class of `aslo_jax.metrics`, or any `metric(observer)`, of every
+      observer, whose results are by observer then;
     - `record(record)`: what to keep of every `every`-th record, by default only the last;
     - `engine`: `"fused"` compiles the whole loop to machine code (the extra `study`);
       `"scan"` is `jax.lax.scan` under `jax.vmap`; `"auto"` is the former, or the latter
@@ -180,7 +195,7 @@ def run_batch(
     `steps`, or what is no whole number; `NotImplementedError` for other derivatives of the
     fused engine. An experiment's own errors are raised as they are.
     """
-    samples = arrays(samples)
+    samples = arrays(parameters)
     lanes_of(samples)
     like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), samples)
     runner = Runner(
@@ -194,6 +209,25 @@ def run_batch(
         threads=threads,
     )
     return runner(samples)
+
+
+def _metrics(
+    make: Callable[[PyTree], Experiment[Any]],
+    like: PyTree,
+    metrics: Mapping[str, MakeMetric],
+) -> dict[str, AbstractMetric]:
+    """The metrics to run, with one for each observer of what makes them."""
+    observers: list[str] = []
+    if not all(isinstance(metric, AbstractMetric) for metric in metrics.values()):
+        observers = list(eqx.filter_eval_shape(make, like).observers)
+    return {name: metric_of_each(metric, observers) for name, metric in metrics.items()}
+
+
+def _shape(x: Any) -> wl.AbstractDoc | None:
+    """A shape and type, as arrays are abbreviated."""
+    if not isinstance(x, jax.ShapeDtypeStruct):
+        return None
+    return wl.array_summary(x.shape, f"{x.dtype}", kind=None)
 
 
 @eqx.filter_jit

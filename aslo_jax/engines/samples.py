@@ -5,19 +5,35 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
 
+from .. import random
 from .._checks import is_concrete
+from .._typing import PyTree
 
 # Each may stand for those before it.
 KINDS = (jnp.bool_, jnp.integer, jnp.floating, jnp.complexfloating)
 
 
 def arrays(samples: PyTree) -> PyTree:
-    """With an array for every leaf, in the byte order of the host."""
+    """With an array for every leaf, in the byte order of the host; of keys, their words."""
+    samples = words(samples)
     if all(map(_plain, jax.tree.leaves(samples))):
         return samples
     return jax.tree_util.tree_map_with_path(_array, samples)
+
+
+def words(samples: PyTree) -> PyTree:
+    """With the words of every key, on which all engines compute."""
+    return jax.tree.map(_words, samples)
+
+
+def _words(x: Any) -> Any:
+    dtype = getattr(x, "dtype", None)
+    if dtype is None or not jnp.issubdtype(dtype, jax.dtypes.prng_key):
+        return x
+    if isinstance(x, jax.ShapeDtypeStruct):
+        return jax.eval_shape(jax.random.key_data, x)
+    return random.as_key(x)
 
 
 def shape_of(x: Any) -> jax.ShapeDtypeStruct:
@@ -33,8 +49,8 @@ def lanes_of(samples: PyTree) -> int:
     sizes = {leaf.shape[0] if leaf.ndim else -1 for leaf in leaves}
     if len(sizes) != 1 or -1 in sizes:
         raise ValueError(
-            "Argument `samples` must have one leading axis of common length in every leaf, "
-            f"but got the shapes {[leaf.shape for leaf in leaves]}."
+            "Argument `parameters` must have one leading axis of common length in every "
+            f"leaf, but got the shapes {[leaf.shape for leaf in leaves]}."
         )
     return sizes.pop()
 
@@ -47,7 +63,7 @@ def fitted(samples: PyTree, like: PyTree) -> PyTree:
     tree, expected = jax.tree.structure(samples), jax.tree.structure(like)
     if tree != expected:
         raise ValueError(
-            f"Argument `samples` must have the structure of `like`, {expected}, but got "
+            f"Argument `parameters` must have the structure of `like`, {expected}, but got "
             f"{tree}."
         )
     lanes_of(samples)
@@ -64,7 +80,7 @@ def _plain(x: Any) -> bool:
 
 
 def _where(path: Any) -> str:
-    return f"`samples{jax.tree_util.keystr(path)}`"
+    return f"`parameters{jax.tree_util.keystr(path)}`"
 
 
 def _array(path: Any, x: Any) -> Any:

@@ -42,3 +42,26 @@ from .speed import cutoff_for as cutoff_for, electrical_speed as electrical_spee
 from .stepper import StepperDescription as StepperDescription
 from .study import Study as Study
 from .wrim import WRIMDescription as WRIMDescription
+
+__all__ = [
+    "KINDS",
+    "AbstractDescription",
+    "BallBeamDescription",
+    "InteriorPMSMDescription",
+    "Layout",
+    "MachineError",
+    "MagneticBearingDescription",
+    "MechanicalDescription",
+    "PMSMDescription",
+    "Quantity",
+    "Rate",
+    "RoboticLegDescription",
+    "StepperDescription",
+    "WRIMDescription",
+    "cutoff_for",
+    "cutoff_for_positions",
+    "electrical_speed",
+    "read_machine",
+    "template",
+    "typical_frequency",
+]

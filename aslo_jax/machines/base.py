@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, get_args
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._choices import CompletionName, FilterStart
 from ..completions import LeastSquares, Repeat
 from ..diagnosis import Circle
 from ..filters import LowPass
@@ -155,7 +156,7 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         that does not suit the log."""
 
     @abc.abstractmethod
-    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver:
+    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         """The observer, with the rates that [`AbstractDescription.rates`][] chooses. Its
         input and output are u and y of a log with `signals`."""
 
@@ -256,8 +257,8 @@ def algebraic(
     cutoff: float,
     *,
     threshold: float,
-    completion: str = "least-squares",
-    start: str = "exact",
+    completion: CompletionName = "least-squares",
+    start: FilterStart = "exact",
     gain: Rate | None = None,
 ) -> AbstractObserver:
     """The ASLO with a filter of `cutoff` (rad/s), or with a `gain` (rad/s) the A-ASLO."""

@@ -1,7 +1,7 @@
 """What every mechanical system has in common: positions and forces in, velocities out."""
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
@@ -12,7 +12,7 @@ from ..completions import LeastSquares, Repeat
 from ..filters import LowPass
 from ..guard import Guard
 from ..logs import Log, Signals
-from ..observers import Unwrapped, VelocityObserver, velocity_observer
+from ..observers import AbstractObserver, Unwrapped, VelocityObserver, velocity_observer
 from ..plants import AbstractMechanicalSystem
 from ..schema import NonNegative, Positive, Table, key
 from ..structure import Structure, decay_rate, structure_of
@@ -163,7 +163,7 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
         decays = [decay_rate(self.plant(), j)[1] for j, f in friction if f == "varying"]
         return max((float(decay.max()) for decay in decays), default=0.0)
 
-    def state_observer(self, rates):
+    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         settings, system = self.observer, self.plant()
         gain = rates.get("gain")
         averaged = settings.completion == "least-squares"

@@ -1,14 +1,15 @@
 """`kind = "wrim"`: the wound-rotor induction machine."""
 
 import math
-from typing import ClassVar, Literal
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import model_validator
 
 from ..diagnosis import Circle
 from ..logs import Log, Signals
-from ..observers import SideBySide
+from ..observers import AbstractObserver, SideBySide
 from ..plants import WRIM, WindingFluxRelation
 from ..schema import Positive, Table, Whole, key
 from . import keys, motor, offers
@@ -152,7 +153,7 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
         v[:, : log.u.shape[1]] += log.u
         return Log(log.t, v, np.zeros((log.t.size, 0)), {})
 
-    def state_observer(self, rates):
+    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         settings, plant = self.observer, self.plant()
 
         def observer(winding, cutoff):
@@ -179,7 +180,7 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
 
     def circles(self):
         machine, mutual = self.machine, self.machine.mutual_inductance
-        alike = {"radius_name": "mutual inductance", "radius_unit": "H"}
+        alike: dict[str, Any] = {"radius_name": "mutual inductance", "radius_unit": "H"}
         stator = Circle(
             "stator flux",
             machine.stator_resistance,

@@ -23,3 +23,23 @@ from .functions import (
     Mean as Mean,
 )
 from .settling import SettlingTime as SettlingTime
+
+__all__ = [
+    "AbstractMetric",
+    "AngleError",
+    "CoastingFraction",
+    "Diverged",
+    "Final",
+    "FinalError",
+    "FluxAngle",
+    "Integral",
+    "IntegralSquaredError",
+    "Maximum",
+    "Mean",
+    "MeanError",
+    "PeakAngleError",
+    "PeakError",
+    "RMSError",
+    "RotorAngle",
+    "SettlingTime",
+]

@@ -7,13 +7,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import nonnegative, real
+from .._module import Module
+from .._typing import PyTree
 from ..experiment import Record
 from ..observers import electrical_angle, wrap
 from .base import AbstractComposed, estimate_of, size
 from .functions import Maximum, Mean
 
+__all__ = ["AngleError", "FluxAngle", "PeakAngleError", "RotorAngle", "degrees_between"]
 
-class FluxAngle(eqx.Module):
+
+class FluxAngle(Module):
     """The electrical angle (rad) of a motor with magnets, of a record in which `observer`
     estimates the stator flux: that of the flux less `inductance` (H; of an interior motor
     that of the q axis; zero for the magnet's flux) times the measured current, the first
@@ -27,7 +31,7 @@ class FluxAngle(eqx.Module):
         return electrical_angle(flux - self.inductance * record.y[:2])
 
 
-class RotorAngle(eqx.Module):
+class RotorAngle(Module):
     """The true electrical angle (rad) of a record: `pole_pairs` times the plant's angle."""
 
     pole_pairs: int = eqx.field(static=True)
@@ -50,10 +54,10 @@ class AngleError(AbstractComposed):
     truth: Callable[[Record], Float[Array, ""]]
     after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         nonnegative("after", self.after)
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         return size(jnp.sqrt(self.inner().result(state)))
 
     def inner(self) -> Mean:
@@ -69,10 +73,10 @@ class PeakAngleError(AbstractComposed):
     truth: Callable[[Record], Float[Array, ""]]
     after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         nonnegative("after", self.after)
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         return jnp.maximum(state, 0.0)
 
     def inner(self) -> Maximum:

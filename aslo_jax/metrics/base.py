@@ -1,16 +1,34 @@
 """The protocol of every metric."""
 
 import abc
+import dataclasses
+from collections.abc import Callable, Iterable
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float
 
+from .._checks import unlike
+from .._module import Module
+from .._typing import PyTree
 from ..experiment import Record
 
+__all__ = [
+    "AbstractComposed",
+    "AbstractMetric",
+    "MakeMetric",
+    "PerObserver",
+    "counts",
+    "error_of",
+    "estimate_of",
+    "metric_of",
+    "metric_of_each",
+    "size",
+    "squares_of",
+]
 
-class AbstractMetric(eqx.Module):
+
+class AbstractMetric(Module):
     """A reduction of the records of an experiment, in the order of time.
 
     It runs inside the loop of every engine, so `update` should be elementwise arithmetic on
@@ -38,11 +56,64 @@ class AbstractComposed(AbstractMetric):
     def inner(self) -> AbstractMetric:
         """The metric that runs."""
 
-    def init(self, record):
+    def init(self, record: Record) -> PyTree:
         return self.inner().init(record)
 
-    def update(self, state, record):
+    def update(self, state: PyTree, record: Record) -> PyTree:
         return self.inner().update(state, record)
+
+
+class PerObserver(AbstractMetric):
+    """A metric of each of several observers; the result is a dictionary by observer."""
+
+    metrics: dict[str, AbstractMetric]
+
+    def init(self, record: Record[Any]) -> PyTree:
+        return {name: m.init(record) for name, m in self.metrics.items()}
+
+    def update(self, state: PyTree, record: Record[Any]) -> PyTree:
+        return {name: m.update(state[name], record) for name, m in self.metrics.items()}
+
+    def result(self, state: PyTree) -> PyTree:
+        return {name: m.result(state[name]) for name, m in self.metrics.items()}
+
+
+# A metric, or what makes one from the name of an observer, as most classes of metrics do.
+MakeMetric = Callable[[str], AbstractMetric] | AbstractMetric
+
+
+def metric_of(make: MakeMetric, observer: str) -> AbstractMetric:
+    """The metric of one observer: made for its name, or like an instance; one that has no
+    observer is the same for all.
+
+    **Raises:** `ValueError` for what makes no metric."""
+    if isinstance(make, AbstractMetric):
+        if "observer" not in {field.name for field in dataclasses.fields(make)}:
+            return make
+        changes: dict[str, Any] = {"observer": observer}
+        return dataclasses.replace(make, **changes)
+    hint = "a metric, or a function from the name of an observer to one"
+    if not callable(make):
+        raise unlike("metrics", make, hint)
+    name = getattr(make, "__name__", type(make).__name__)
+    try:
+        metric = make(observer)
+    except TypeError as error:
+        raise ValueError(
+            "Argument `metrics` must make a metric from the name of an observer, but "
+            f"`{name}({observer!r})` fails: {error}. Give what it lacks, as in `lambda "
+            f"observer: {name}(observer, ...)`."
+        ) from error
+    if not isinstance(metric, AbstractMetric):
+        raise unlike("metrics", metric, hint)
+    return metric
+
+
+def metric_of_each(make: MakeMetric, observers: Iterable[str]) -> AbstractMetric:
+    """An instance as it is; otherwise one for each of the `observers`."""
+    if isinstance(make, AbstractMetric):
+        return make
+    return PerObserver({name: metric_of(make, name) for name in observers})
 
 
 def estimate_of(record: Record, observer: str) -> Any:

@@ -5,7 +5,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import is_concrete, nonnegative, real
+from .._typing import PyTree
+from ..experiment import Record
 from .base import AbstractMetric, counts, squares_of
+
+__all__ = ["Diverged"]
 
 
 class Diverged(AbstractMetric):
@@ -20,20 +24,20 @@ class Diverged(AbstractMetric):
     bound: Float[Array, ""] = eqx.field(converter=real, default=jnp.inf)
     after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         nonnegative("after", self.after)
         if eqx.is_array(self.bound) and is_concrete(self.bound) and not self.bound > 0:
             raise ValueError(
                 f"Argument `bound` must be positive, but got {float(self.bound)}."
             )
 
-    def init(self, record):
+    def init(self, record: Record) -> PyTree:
         square = squares_of(record, self.observer, True)
         fine = jnp.isfinite(square) & (square <= self.bound**2)
         return counts(record, self.after) & ~fine
 
-    def update(self, state, record):
+    def update(self, state: PyTree, record: Record) -> PyTree:
         return state | self.init(record)
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         return state

@@ -5,8 +5,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import nonnegative, real
+from .._typing import PyTree
+from ..experiment import Record
 from .base import AbstractComposed, AbstractMetric, counts, error_of, size, squares_of
 from .functions import Integral, Mean
+
+__all__ = ["FinalError", "IntegralSquaredError", "MeanError", "PeakError", "RMSError"]
 
 
 class RMSError(AbstractMetric):
@@ -18,22 +22,22 @@ class RMSError(AbstractMetric):
     after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
     norm: bool = eqx.field(static=True, default=False)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         nonnegative("after", self.after)
 
-    def init(self, record):
+    def init(self, record: Record) -> PyTree:
         counting = counts(record, self.after)
         # Left out before it is squared: adding a square is then one rounding.
         e = jnp.where(counting, error_of(record, self.observer), 0.0)
         square = jnp.sum(e * e) if self.norm else e * e
         return jnp.where(counting, 1.0, 0.0).astype(e.dtype), square
 
-    def update(self, state, record):
+    def update(self, state: PyTree, record: Record) -> PyTree:
         count, total = state
         more, square = self.init(record)
         return count + more, total + square
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         count, total = state
         return size(jnp.sqrt(total / jnp.maximum(count, 1.0)))
 
@@ -47,10 +51,10 @@ class PeakError(AbstractMetric):
     after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
     norm: bool = eqx.field(static=True, default=False)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         nonnegative("after", self.after)
 
-    def init(self, record):
+    def init(self, record: Record) -> PyTree:
         if self.norm:
             # Squared up to the result: the root has no derivative at zero.
             e = squares_of(record, self.observer, True)
@@ -58,10 +62,10 @@ class PeakError(AbstractMetric):
             e = error_of(record, self.observer)
         return jnp.where(counts(record, self.after), size(e), 0.0)
 
-    def update(self, state, record):
+    def update(self, state: PyTree, record: Record) -> PyTree:
         return jnp.maximum(state, self.init(record))
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         return jnp.sqrt(state) if self.norm else state
 
 
@@ -72,14 +76,14 @@ class FinalError(AbstractMetric):
     observer: str = eqx.field(static=True)
     norm: bool = eqx.field(static=True, default=False)
 
-    def init(self, record):
+    def init(self, record: Record) -> PyTree:
         return error_of(record, self.observer)
 
-    def update(self, state, record):
+    def update(self, state: PyTree, record: Record) -> PyTree:
         del state
         return self.init(record)
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         return size(jnp.sqrt(jnp.sum(state * state))) if self.norm else state
 
 
@@ -92,10 +96,10 @@ class MeanError(AbstractComposed):
     after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
     norm: bool = eqx.field(static=True, default=False)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         nonnegative("after", self.after)
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         mean = self.inner().result(state)
         return jnp.sqrt(jnp.sum(mean * mean)) if self.norm else mean
 
@@ -112,10 +116,10 @@ class IntegralSquaredError(AbstractComposed):
     after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
     norm: bool = eqx.field(static=True, default=False)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         nonnegative("after", self.after)
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         return size(self.inner().result(state))
 
     def inner(self) -> Integral:

@@ -7,8 +7,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import nonnegative, real
+from .._typing import PyTree
 from ..experiment import Record
 from .base import AbstractMetric, counts
+
+__all__ = ["Final", "Integral", "Maximum", "Mean"]
 
 
 def _value(function: Callable[[Record], Array], record: Record) -> Array:
@@ -25,20 +28,20 @@ class Mean(AbstractMetric):
     function: Callable[[Record], Array]
     after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         nonnegative("after", self.after)
 
-    def init(self, record):
+    def init(self, record: Record) -> PyTree:
         value = _value(self.function, record)
         counting = counts(record, self.after)
         one = jnp.where(counting, jnp.ones_like(value), 0.0)
         return one, jnp.where(counting, value, 0.0)
 
-    def update(self, state, record):
+    def update(self, state: PyTree, record: Record) -> PyTree:
         count, total = self.init(record)
         return state[0] + count, state[1] + total
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         count, total = state
         return total / jnp.maximum(count, 1.0)
 
@@ -50,17 +53,17 @@ class Maximum(AbstractMetric):
     function: Callable[[Record], Array]
     after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         nonnegative("after", self.after)
 
-    def init(self, record):
+    def init(self, record: Record) -> PyTree:
         value = _value(self.function, record)
         return jnp.where(counts(record, self.after), value, -jnp.inf)
 
-    def update(self, state, record):
+    def update(self, state: PyTree, record: Record) -> PyTree:
         return jnp.maximum(state, self.init(record))
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         return state
 
 
@@ -69,14 +72,14 @@ class Final(AbstractMetric):
 
     function: Callable[[Record], Array]
 
-    def init(self, record):
+    def init(self, record: Record) -> PyTree:
         return jnp.asarray(self.function(record))
 
-    def update(self, state, record):
+    def update(self, state: PyTree, record: Record) -> PyTree:
         del state
         return self.init(record)
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         return state
 
 
@@ -87,19 +90,19 @@ class Integral(AbstractMetric):
     function: Callable[[Record], Array]
     after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         nonnegative("after", self.after)
 
-    def init(self, record):
+    def init(self, record: Record) -> PyTree:
         value = _value(self.function, record)
         return record.t, counts(record, self.after), value, jnp.zeros_like(value)
 
-    def update(self, state, record):
+    def update(self, state: PyTree, record: Record) -> PyTree:
         t, counting, value, total = state
         now = _value(self.function, record)
         area = 0.5 * (record.t - t) * (value + now)
         total = total + jnp.where(counting, area, 0.0)
         return record.t, counts(record, self.after), now, total
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         return state[-1]

@@ -5,8 +5,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real
+from .._typing import PyTree
 from ..experiment import Record
 from .base import AbstractMetric, squares_of
+
+__all__ = ["SettlingTime"]
 
 
 class SettlingTime(AbstractMetric):
@@ -17,17 +20,17 @@ class SettlingTime(AbstractMetric):
     observer: str = eqx.field(static=True)
     tolerance: Float[Array, ""] = eqx.field(converter=real)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("tolerance", self.tolerance)
 
-    def init(self, record):
+    def init(self, record: Record) -> PyTree:
         return jnp.where(self._within(record), record.t, jnp.inf)
 
-    def update(self, state, record):
+    def update(self, state: PyTree, record: Record) -> PyTree:
         earliest = jnp.minimum(state, record.t)
         return jnp.where(self._within(record), earliest, jnp.inf)
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         return state
 
     def _within(self, record: Record):

@@ -4,15 +4,18 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import kind, known_start, optional_real
+from .._typing import FilterStart, PyTree
 from ..completions import AbstractCompletion, LeastSquares
 from ..filters import AbstractFilter, check_filter
 from ..guard import Guard
 from ..realise import Pass
 from ..relations import AbstractTerms, terms_of
 from .base import AbstractObserver, Estimate
+
+__all__ = ["AlgebraicObserver"]
 
 
 class AlgebraicObserver(AbstractObserver):
@@ -37,10 +40,10 @@ class AlgebraicObserver(AbstractObserver):
     # Built when used: an array made on import has the precision of that moment.
     completion: AbstractCompletion = eqx.field(default_factory=LeastSquares)
     guard: Guard | None = eqx.field(default_factory=Guard)
-    start: str = eqx.field(static=True, default="exact")
+    start: FilterStart = eqx.field(static=True, default="exact")
     initial: Float[Array, " n"] | None = eqx.field(converter=optional_real, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         known_start(self.start)
         if not callable(self.relation):
             kind("relation", self.relation, hint="a relation, `relation(u, y)`")

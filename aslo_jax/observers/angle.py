@@ -2,10 +2,12 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import known_start, optional_real, real
+from .._module import Module
 from .._small import safe_reciprocal
+from .._typing import FilterStart, PyTree
 from ..completions import AbstractCompletion, LeastSquares
 from ..filters import AbstractFilter, check_filter
 from ..guard import Guard
@@ -15,6 +17,14 @@ from ..relations import Row, terms_of
 from .base import AbstractObserver, Estimate
 from .compose import Staged
 from .pll import PhaseLockedLoop
+
+__all__ = [
+    "AlgebraicMagnet",
+    "MagnetAngle",
+    "electrical_angle",
+    "rotor_angle",
+    "track_angle",
+]
 
 
 def electrical_angle(magnet: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
@@ -41,7 +51,7 @@ def rotor_angle(
     return electrical_angle(flux - inductance * current) / pole_pairs
 
 
-class MagnetAngle(eqx.Module):
+class MagnetAngle(Module):
     """For [`Staged`][]: the electrical angle as the measurement of the second stage, from a
     first one that estimates the stator flux, or the magnet's when `inductance` (H) is 0."""
 
@@ -91,10 +101,10 @@ class AlgebraicMagnet(AbstractObserver):
     filter: AbstractFilter
     completion: AbstractCompletion = eqx.field(default_factory=LeastSquares)
     guard: Guard | None = eqx.field(default_factory=Guard)
-    start: str = eqx.field(static=True, default="exact")
+    start: FilterStart = eqx.field(static=True, default="exact")
     initial: Float[Array, " 2"] | None = eqx.field(converter=optional_real, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         known_start(self.start)
         check_filter(self.filter)
 

@@ -4,14 +4,17 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float
 
 from .._checks import kind, optional_real, positive, real
 from .._small import safe_reciprocal
+from .._typing import PyTree, RealArray
 from ..filters import AbstractLaw, LowPass
 from ..realise import Pass
 from .algebraic import AlgebraicObserver
 from .base import AbstractObserver, Estimate
+
+__all__ = ["Asymptotic"]
 
 
 class _Average(NamedTuple):
@@ -42,17 +45,17 @@ class _Correction(AbstractLaw):
 
     gain: Float[Array, ""]
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
         gain = self.gain * v.trust
         return _Average(
             gain * (1.0 - X.weight),
             gain * (v.value - X.weighted) + X.weight * v.rate,
         )
 
-    def discretise(self, h):
+    def discretise(self, h: RealArray | float) -> PyTree:
         return LowPass(self.gain).discretise(h), h
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         # Propagated along the model, then corrected by the innovation under first-order
         # hold: exact for the true state, second order for what the filter sees of errors.
         hold, h = coefficients
@@ -85,7 +88,7 @@ class Asymptotic(AbstractObserver):
     gain: Float[Array, ""] = eqx.field(converter=real)
     initial: Float[Array, " n"] | None = eqx.field(converter=optional_real, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("gain", self.gain, "rad/s")
         kind("observer", self.observer, AlgebraicObserver, hint="an `AlgebraicObserver`")
 

@@ -1,21 +1,34 @@
 """The protocol of every observer."""
 
 import abc
+import typing
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any, Generic
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from .._checks import kind, positive
+from .._module import Module
 from .._signals import check_signals
+from .._typing import PyTree
 from ..realise import Advance, Flow, Interval, Pass, Start, States
 from ._missing import Gap, either, marked, whole
 
+__all__ = [
+    "AbstractObserver",
+    "Est",
+    "Estimate",
+    "First",
+    "ObserverState",
+    "Second",
+    "check_observers",
+    "named",
+]
 
-class Estimate(eqx.Module):
+
+class Estimate(Module):
     """An estimate and what is known about it.
 
     - `value`: the estimated states, shape `(n,)`, in their own units;
@@ -70,7 +83,7 @@ class Estimate(eqx.Module):
         return dataset(estimate_columns(self, t, names), units or {})
 
 
-class ObserverState(eqx.Module):
+class ObserverState(Module):
     """The state of an observer, a value: save it, restore it, batch it.
 
     - `states`: every filter and other state, by name;
@@ -83,20 +96,35 @@ class ObserverState(eqx.Module):
     gap: Gap | None = None
 
 
-class AbstractObserver(eqx.Module):
+# What an observer estimates: an `Estimate`, unless a class says otherwise, such as
+# `AbstractObserver[dict[str, Estimate]]`.
+if TYPE_CHECKING:
+    from typing_extensions import TypeVar
+
+    Est = TypeVar("Est", default=Estimate, covariant=True)
+    First = TypeVar("First", default=Estimate)
+    Second = TypeVar("Second", default=Estimate)
+else:
+    Est = typing.TypeVar("Est", covariant=True)
+    First = typing.TypeVar("First")
+    Second = typing.TypeVar("Second")
+
+
+class AbstractObserver(Module, Generic[Est]):
     """A state observer, written once as `equations` and run in continuous time
-    (`vector_field`, `estimate`) or sampled (`step`).
+    (`vector_field`, `estimate`) or sampled (`step`). For type checkers it is generic in
+    what it estimates: `AbstractObserver` is `AbstractObserver[Estimate]`.
 
     Conventions: `y[k]` is sampled at `t[k]`; `u[k]` is held on `[t[k], t[k+1])`. No
     estimate has direct feed-through of u.
     """
 
     @abc.abstractmethod
-    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Any:
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Est:
         """The observer's equations: a pass `F`, the input `u` and the measurement `y`, to
         an [`Estimate`][] (or a dictionary of them, for observers side by side)."""
 
-    def __call__(self, F: Pass, u: PyTree, y: PyTree) -> Any:
+    def __call__(self, F: Pass, u: PyTree, y: PyTree) -> Est:
         """[`equations`][], of signals with the shapes that they declare: what each way to
         run them calls, and what an observer calls that is made of others."""
         check_signals(self, type(self).equations, u, y)
@@ -135,7 +163,7 @@ class AbstractObserver(eqx.Module):
 
     def estimate(
         self, t: Float[Array, ""], state: ObserverState, u: PyTree, y: PyTree
-    ) -> Any:
+    ) -> Est:
         """The estimate at time `t` (s), in continuous time."""
         del t
         return self(Pass(Flow(state.states)), u, y)
@@ -148,7 +176,7 @@ class AbstractObserver(eqx.Module):
         dt: Float[Array, ""] | float,
         *,
         substeps: int = 1,
-    ) -> tuple[ObserverState, Any]:
+    ) -> tuple[ObserverState, Est]:
         """One sample of a control loop: `u` was held over the `dt` seconds that end now,
         `y` is measured now. Returns the new state and the estimate now.
 
@@ -212,7 +240,7 @@ class AbstractObserver(eqx.Module):
         coefficients: PyTree,
         *,
         substeps: int = 1,
-    ) -> tuple[ObserverState, Any]:
+    ) -> tuple[ObserverState, Est]:
         """[`step`][] with the coefficients of the laws, `allocate(y, u).discretise(dt /
         substeps)`, already at hand, for samples none of which is missing."""
         y = self.continued(state.y, y)
@@ -254,11 +282,18 @@ class AbstractObserver(eqx.Module):
         return right.advanced, estimate
 
 
+def named(
+    observers: Mapping[str, AbstractObserver[Est]],
+) -> dict[str, AbstractObserver[Est]]:
+    """Observers by name, as a dictionary; what is none is left to [`check_observers`][]."""
+    return dict(observers) if isinstance(observers, Mapping) else observers
+
+
 def check_observers(observers: Any) -> None:
     """Refuse what is not observers by name."""
     if not isinstance(observers, Mapping):
         kind("observers", observers, Mapping, hint="observers by name, a dictionary")
-    for name, observer in dict(observers).items():
+    for name, observer in observers.items():
         what = f"observers[{name!r}]"
         kind(what, observer, AbstractObserver, hint="an observer")
 

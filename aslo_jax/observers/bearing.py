@@ -2,8 +2,8 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import PyTree
 
+from .._typing import PyTree
 from ..completions import Repeat
 from ..filters import LowPass
 from ..guard import Guard
@@ -12,6 +12,8 @@ from ..realise import Pass
 from ..relations import Rate, Row
 from .algebraic import AlgebraicObserver
 from .base import AbstractObserver, Estimate
+
+__all__ = ["BearingObserver"]
 
 
 class BearingObserver(AbstractObserver):
@@ -41,7 +43,7 @@ class BearingObserver(AbstractObserver):
     filter: LowPass
     guard: Guard | None = eqx.field(default_factory=Guard)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if not isinstance(self.flux.relation, BearingFluxRelation):
             raise ValueError(
                 "Argument `flux` must have a `BearingFluxRelation`, but got "

@@ -1,14 +1,18 @@
 """Observers of observers: side by side, joined, and in stages."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Generic
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, PyTree
+from jaxtyping import Array, Bool
 
+from .._typing import PyTree
 from ..realise import Pass
-from .base import AbstractObserver, Estimate, check_observers
+from .base import AbstractObserver, Estimate, First, Second, check_observers, named
+
+__all__ = ["Joined", "SideBySide", "Staged"]
 
 
 def _coasting(estimate: Any) -> Bool[Array, ""]:
@@ -20,16 +24,16 @@ def _coasting(estimate: Any) -> Bool[Array, ""]:
     return found
 
 
-class SideBySide(AbstractObserver):
+class SideBySide(AbstractObserver[dict[str, First]], Generic[First]):
     """Several observers of the same signals as one; the estimate is a dictionary of
     theirs."""
 
-    observers: dict[str, AbstractObserver]
+    observers: dict[str, AbstractObserver[First]] = eqx.field(converter=named)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_observers(self.observers)
 
-    def equations(self, F: Pass, u: PyTree, y: PyTree) -> dict[str, Any]:
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> dict[str, First]:
         return {
             name: observer(F.scope(name), u, y) for name, observer in self.observers.items()
         }
@@ -53,7 +57,7 @@ class Joined(AbstractObserver):
         )
 
 
-class Staged(AbstractObserver):
+class Staged(AbstractObserver[dict[str, First | Second]], Generic[First, Second]):
     """A first observer, and a second one that measures what `connect` makes of its
     estimate.
 
@@ -64,11 +68,11 @@ class Staged(AbstractObserver):
     starts where it no longer does).
     """
 
-    first: AbstractObserver
-    second: AbstractObserver
-    connect: Callable[[PyTree, PyTree, Any], tuple[PyTree, PyTree]]
+    first: AbstractObserver[First]
+    second: AbstractObserver[Second]
+    connect: Callable[[PyTree, PyTree, First], tuple[PyTree, PyTree]]
 
-    def equations(self, F: Pass, u: PyTree, y: PyTree) -> dict[str, Any]:
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> dict[str, First | Second]:
         first = self.first(F.scope("first"), u, y)
         u, y = self.connect(u, y, first)
         doubted = _coasting(first)

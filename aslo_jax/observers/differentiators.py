@@ -3,14 +3,17 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import positive, real
 from .._signals import check_shapes
+from .._typing import PyTree, RealArray
 from ..filters import AbstractFilter, AbstractLaw, LinearSystem, Switched
 from ..plants import AbstractMechanicalSystem
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
+
+__all__ = ["FilteredDerivative", "HighGain", "SuperTwisting"]
 
 
 def _uncertified(velocity: Float[Array, " n"]) -> Estimate:
@@ -47,7 +50,7 @@ class HighGain(AbstractObserver):
     bandwidth: Float[Array, "*n"] = eqx.field(converter=real)
     system: AbstractMechanicalSystem | None = None
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("bandwidth", self.bandwidth, "rad/s")
 
     def equations(self, F: Pass, u: PyTree, y: Float[Array, " n"]) -> Estimate:
@@ -97,11 +100,11 @@ class _DoublePole(AbstractLaw):
         A = jnp.stack([jnp.stack(row, axis=1) for row in rows], axis=1)
         return jax.vmap(LinearSystem)(A)
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
         flow = jax.vmap(LinearSystem.flow, (0, 1, 1), 1)
         return flow(self._systems(), X, v)
 
-    def discretise(self, h):
+    def discretise(self, h: RealArray | float) -> PyTree:
         # In the coordinates (x1, x2/w), where A is w times a matrix of the size of one:
         # otherwise the exponential loses the digits of w in single precision.
         w = self.w
@@ -110,7 +113,7 @@ class _DoublePole(AbstractLaw):
         unit = jnp.stack([jnp.ones_like(w), w], axis=1)
         return jax.tree.map(lambda c: c * (unit[:, :, None] / unit[:, None, :]), found)
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         advance = jax.vmap(LinearSystem.advance, (0, 1, 1, 1, 0), 1)
         return advance(self._systems(), X, v0, v1, coefficients)
 
@@ -130,7 +133,7 @@ class SuperTwisting(AbstractObserver):
 
     bound: Float[Array, "*n"] = eqx.field(converter=real)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("bound", self.bound, "m/s^2 or rad/s^2")
 
     def equations(self, F: Pass, u: PyTree, y: Float[Array, " n"]) -> Estimate:
@@ -146,17 +149,17 @@ class _SuperTwist(AbstractLaw):
     bound: Float[Array, " n"]
     trust: Float[Array, ""] | float
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
         e = self.trust * (v - X[0])
         size = jnp.abs(e)
         root = jnp.sqrt(jnp.where(size > 0, size, 1.0)) * (size > 0)
         first = X[1] + 1.5 * jnp.sqrt(self.bound) * root * jnp.sign(e)
         return jnp.stack([first, 1.1 * self.bound * jnp.sign(e)])
 
-    def discretise(self, h):
+    def discretise(self, h: RealArray | float) -> PyTree:
         return jnp.asarray(h, self.bound.dtype)
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         # e+ + h 1.5 sqrt(L |e+|) sign e+ + h^2 1.1 L sign e+ = e, the error predicted: with
         # the sign as a set at zero there is one solution for every e.
         h, L = coefficients, self.bound

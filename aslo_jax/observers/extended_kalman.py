@@ -6,18 +6,22 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import is_concrete, positive, real
+from .._module import Module
 from .._runge_kutta import runge_kutta
 from .._small import safe_reciprocal, solve_definite
+from .._typing import PyTree, RealArray
 from ..filters import AbstractLaw
 from ..plants import AbstractMechanicalSystem, FluxRelation
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
 
+__all__ = ["AbstractModel", "Belief", "ExtendedKalman", "MechanicalModel", "PMSMModel"]
 
-class AbstractModel(eqx.Module):
+
+class AbstractModel(Module):
     """`x' = f(x, u) + noise`, `y = h(x) + noise`."""
 
     @abc.abstractmethod
@@ -49,18 +53,18 @@ class PMSMModel(AbstractModel):
 
     relation: FluxRelation
 
-    def drift(self, x, u):
+    def drift(self, x: RealArray, u: PyTree) -> RealArray:
         flux = u - self.relation.resistance * self.output(x)
         return jnp.stack([flux[0], flux[1], jnp.zeros_like(x[2]), x[2]])
 
-    def output(self, x):
+    def output(self, x: RealArray) -> RealArray:
         magnet = self.relation.magnet_flux * jnp.stack([jnp.cos(x[3]), jnp.sin(x[3])])
         return (x[:2] - magnet) / self.relation.inductance
 
-    def select(self, x):
+    def select(self, x: RealArray) -> RealArray:
         return x[:2]
 
-    def signals_of(self, n):
+    def signals_of(self, n: int) -> dict[str, tuple[int, ...]]:
         return {"u": (2,), "y": (2,)}
 
 
@@ -73,17 +77,17 @@ class MechanicalModel(AbstractModel):
 
     system: AbstractMechanicalSystem
 
-    def drift(self, x, u):
+    def drift(self, x: RealArray, u: PyTree) -> RealArray:
         q, velocity = jnp.split(x, 2)
         return jnp.concatenate([velocity, self.system.acceleration(q, velocity, u)])
 
-    def output(self, x):
+    def output(self, x: RealArray) -> RealArray:
         return jnp.split(x, 2)[0]
 
-    def select(self, x):
+    def select(self, x: RealArray) -> RealArray:
         return jnp.split(x, 2)[1]
 
-    def signals_of(self, n):
+    def signals_of(self, n: int) -> dict[str, tuple[int, ...]]:
         return self.system.signals_of(n // 2)
 
 
@@ -104,7 +108,7 @@ class _KalmanBucy(AbstractLaw):
     measurement: Float[Array, "p p"]
     trust: Float[Array, ""] | float = 1.0
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
         (u, y), (x, P) = v, X
         A = jax.jacfwd(self.model.drift)(x, u)
         H = jax.jacfwd(self.model.output)(x)
@@ -114,10 +118,10 @@ class _KalmanBucy(AbstractLaw):
         AP = A @ P
         return Belief(rate, AP + AP.T + self.process - gain @ PHt.T)
 
-    def discretise(self, h):
+    def discretise(self, h: RealArray | float) -> PyTree:
         return jnp.asarray(h, self.process.dtype)
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         h, (u, _), (_, y) = coefficients, v0, v1
         predict = lambda x: runge_kutta(lambda t, x: self.model.drift(x, u), 0.0, x, h)
         x, transition = predict(X.mean), jax.jacfwd(predict)(X.mean)
@@ -162,7 +166,7 @@ class ExtendedKalman(AbstractObserver):
     initial: Float[Array, " n"] = eqx.field(converter=real)
     covariance: Float[Array, "n n"] = eqx.field(converter=real)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         for name in ("process", "measurement", "covariance"):
             value = getattr(self, name)
             if not isinstance(value, jax.Array) or not is_concrete(value):

@@ -7,11 +7,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import known_start, optional_real, positive, real
+from .._typing import FilterStart, PyTree, RealArray
 from ..filters import AbstractFilter, AbstractLaw, check_filter
 from ..plants import FluxRelation
 from ..realise import Pass
 from ._relaxation import relaxation
 from .base import AbstractObserver, Estimate
+
+__all__ = ["FO1", "Regression"]
 
 
 class Regression(NamedTuple):
@@ -32,14 +35,14 @@ class _Gradient(AbstractLaw):
 
     gain: Float[Array, ""]
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
         omega, Y = v
         return self.gain * omega * (Y - jnp.sum(omega * X))
 
-    def discretise(self, h):
+    def discretise(self, h: RealArray | float) -> PyTree:
         return jnp.asarray(h, self.gain.dtype)
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         omega, Y = 0.5 * (v0[0] + v1[0]), 0.5 * (v0[1] + v1[1])
         step = self.gain * relaxation(self.gain * jnp.sum(omega * omega), coefficients)
         return X + step * omega * (Y - jnp.sum(omega * X))
@@ -73,10 +76,10 @@ class FO1(AbstractObserver):
     relation: FluxRelation
     filter: AbstractFilter
     gain: Float[Array, ""] = eqx.field(converter=real)
-    start: str = eqx.field(static=True, default="exact")
+    start: FilterStart = eqx.field(static=True, default="exact")
     initial: Float[Array, " 2"] | None = eqx.field(converter=optional_real, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("gain", self.gain, "s/Wb^2")
         known_start(self.start)
         check_filter(self.filter)

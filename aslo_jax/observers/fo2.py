@@ -8,11 +8,14 @@ from jaxtyping import Array, Float
 
 from .._checks import optional_real, positive, real
 from .._small import safe_rsqrt
+from .._typing import PyTree, RealArray
 from ..filters import AbstractLaw
 from ..plants import FluxRelation
 from ..realise import Pass
 from ._relaxation import relaxation
 from .base import AbstractObserver, Estimate
+
+__all__ = ["FO2"]
 
 
 class _Drive(NamedTuple):
@@ -33,14 +36,14 @@ class _Radial(AbstractLaw):
     magnet_flux: Float[Array, ""]
     one_sided: bool = eqx.field(static=True)
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
         x = X - v.centre
         excess = jnp.sum(x * x) - self.magnet_flux**2
         if self.one_sided:
             excess = jnp.maximum(excess, 0.0)
         return v.rate - self.gain * excess * x
 
-    def discretise(self, h):
+    def discretise(self, h: RealArray | float) -> PyTree:
         return jnp.asarray(h, self.gain.dtype)
 
     def _correct(self, X: Array, centre: Array, h: Array) -> Array:
@@ -53,7 +56,7 @@ class _Radial(AbstractLaw):
             factor = jnp.where(s > square, factor, 1.0)
         return centre + factor * x
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         half = 0.5 * coefficients
         X = self._correct(X, v0.centre, half)
         return self._correct(X + half * (v0.rate + v1.rate), v1.centre, half)
@@ -84,7 +87,7 @@ class FO2(AbstractObserver):
     one_sided: bool = eqx.field(static=True, default=True)
     initial: Float[Array, " 2"] | None = eqx.field(converter=optional_real, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("gain", self.gain, "1/(s Wb^2)")
         positive("relation.magnet_flux", self.relation.magnet_flux, "Wb")
 

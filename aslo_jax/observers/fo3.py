@@ -5,16 +5,19 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import known_start, optional_real, positive, real
 from .._small import safe_reciprocal, solve_rows
+from .._typing import FilterStart, PyTree, RealArray
 from ..filters import AbstractFilter, AbstractLaw, check_filter
 from ..guard import Guard
 from ..realise import Pass
 from ..relations import AbstractTerms, swap, terms_of
 from ._relaxation import relaxation
 from .base import AbstractObserver, Estimate
+
+__all__ = ["FO3"]
 
 
 class _Drive(NamedTuple):
@@ -32,20 +35,20 @@ class _Mixing(AbstractLaw):
 
     gain: Float[Array, ""]
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
         return v.rate + self._correction(X, v, self.gain)
 
     def _correction(self, X: Array, v: _Drive, weight: Array) -> Array:
         return weight * v.determinant * (v.numerator - v.determinant * X)
 
-    def discretise(self, h):
+    def discretise(self, h: RealArray | float) -> PyTree:
         return jnp.asarray(h, self.gain.dtype)
 
     def _correct(self, X: Array, v: _Drive, h: Array) -> Array:
         rate = self.gain * v.determinant**2
         return X + self._correction(X, v, self.gain * relaxation(rate, h))
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         half = 0.5 * coefficients
         X = self._correct(X, v0, half)
         return self._correct(X + half * (v0.rate + v1.rate), v1, half)
@@ -71,10 +74,10 @@ class FO3(AbstractObserver):
     relation: Callable[[PyTree, PyTree], AbstractTerms]
     filter: AbstractFilter
     gain: Float[Array, ""] = eqx.field(converter=real)
-    start: str = eqx.field(static=True, default="exact")
+    start: FilterStart = eqx.field(static=True, default="exact")
     initial: Float[Array, " n"] | None = eqx.field(converter=optional_real, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("gain", self.gain, "1/s over the square of the determinant")
         known_start(self.start)
         check_filter(self.filter)

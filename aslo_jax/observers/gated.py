@@ -24,7 +24,7 @@ class _Gate(NamedTuple):
     apart: Float[Array, ""]
     since: Float[Array, ""]
     square: PyTree
-    count: Float[Array, ""]
+    seen: Float[Array, ""]
     rejected: Float[Array, ""]
 
 
@@ -130,12 +130,12 @@ class Gated(AbstractObserver):
         for r, s in zip(*map(jax.tree.leaves, (residual, gate.square)), strict=True):
             spread = jnp.maximum(s, self.least.astype(s.dtype) ** 2)
             far = far | jnp.any(r * r > self.threshold.astype(s.dtype) ** 2 * spread)
-        unseen = gate.count < max(self.memory // 10, 2)
+        unseen = gate.seen < max(self.memory // 10, 2)
         weary, anew = gate.rejected >= self.patience, gate.rejected < 0
         outlier = there & far & ~(unseen | weary | anew)
         passes = there & ~outlier
         jumped, learns = passes & weary, passes & ~weary & ~anew
-        count = jnp.where(learns, gate.count + 1.0, gate.count)
+        count = jnp.where(learns, gate.seen + 1.0, gate.seen)
         weight = jnp.where(learns, 1.0 / jnp.clip(count, 1.0, self.memory), 0.0)
         square = jax.tree.map(
             # Noise that has grown is let in after a few jumps.

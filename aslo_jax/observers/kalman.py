@@ -3,14 +3,17 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from .._checks import is_concrete, optional_real, real, stable
 from .._signals import vector
+from .._typing import PyTree
 from ..filters import LinearSystem, Switched
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
+
+__all__ = ["SteadyStateKalman"]
 
 
 class SteadyStateKalman(AbstractObserver):
@@ -33,7 +36,7 @@ class SteadyStateKalman(AbstractObserver):
     select: Float[Array, "k n"] | None = eqx.field(converter=optional_real, default=None)
     initial: Float[Array, " n"] | None = eqx.field(converter=optional_real, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if is_concrete(self.A, self.C, self.gain):
             stable("A - gain C", self.A - self.gain @ self.C)
 
@@ -54,8 +57,9 @@ class SteadyStateKalman(AbstractObserver):
         A, B, C = (np.atleast_2d(np.asarray(x, float)) for x in (A, B, C))
         W = np.atleast_2d(np.asarray(input_intensity, float))
         V = np.atleast_2d(np.asarray(measurement_intensity, float))
+        picked = None if select is None else np.asarray(select, float)
         P = scipy.linalg.solve_continuous_are(A.T, C.T, B @ W @ B.T, V)
-        return cls(A, B, C, P @ C.T @ np.linalg.inv(V), select)
+        return cls(A, B, C, P @ C.T @ np.linalg.inv(V), picked)
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
         u = vector("u", u, self.B.shape[1])

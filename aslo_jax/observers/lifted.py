@@ -20,7 +20,7 @@ from .base import AbstractObserver, Estimate
 
 def _deviation(x: Any) -> PyTree:
     """A list is one array."""
-    return real(x) if isinstance(x, list) else jax.tree.map(real, x)
+    return real(jnp.asarray(x)) if isinstance(x, list) else jax.tree.map(real, x)
 
 
 class Lifted(AbstractObserver):

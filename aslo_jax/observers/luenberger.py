@@ -4,13 +4,16 @@ import math
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import is_concrete, optional_real, positive, real, stable
 from .._signals import vector
+from .._typing import PyTree
 from ..filters import LinearSystem, Switched
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
+
+__all__ = ["ReducedLuenberger"]
 
 
 class ReducedLuenberger(AbstractObserver):
@@ -32,7 +35,7 @@ class ReducedLuenberger(AbstractObserver):
     gain: Float[Array, "k p"] = eqx.field(converter=real)
     initial: Float[Array, " k"] | None = eqx.field(converter=optional_real, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if jnp.ndim(self.gain) != 2 or sum(jnp.shape(self.gain)) != jnp.shape(self.A)[-1]:
             raise ValueError(
                 "Argument `gain` must have shape (n - p, p) for n states of which p are "

@@ -4,12 +4,15 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import optional_real
+from .._typing import PyTree
 from ..realise import Pass
 from ..relations import AbstractTerms, terms_of
 from .base import AbstractObserver, Estimate
+
+__all__ = ["OpenLoopIntegrator"]
 
 
 class OpenLoopIntegrator(AbstractObserver):

@@ -5,12 +5,15 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import positive, real
+from .._typing import PyTree
 from ..filters import AbstractLaw
 from ..realise import Pass
 from .base import AbstractObserver, Estimate
+
+__all__ = ["PhaseLockedLoop", "wrap"]
 
 OUT_OF_STEP = 1.0  # rad: an angle error beyond which the loop does not follow
 YOUNG = 3.0  # time constants for which a loop has hardly forgotten its start
@@ -100,7 +103,7 @@ class PhaseLockedLoop(AbstractObserver):
     bandwidth: Float[Array, ""] = eqx.field(converter=real)
     wraps: bool = eqx.field(static=True, default=True)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("bandwidth", self.bandwidth, "rad/s")
 
     def equations(self, F: Pass, u: PyTree, y: Float[Array, ""]) -> Estimate:

@@ -5,10 +5,11 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import positive, real
 from .._signals import check_signals
+from .._typing import PyTree
 from ..completions import AbstractCompletion, LeastSquares
 from ..filters import AbstractFilter
 from ..guard import Guard
@@ -17,6 +18,8 @@ from ..relations import AbstractTerms
 from .algebraic import AlgebraicObserver
 from .asymptotic import _Average, _Correction, _Drive
 from .base import AbstractObserver, Estimate
+
+__all__ = ["SelfConsistent"]
 
 
 class SelfConsistent(AbstractObserver):
@@ -46,7 +49,7 @@ class SelfConsistent(AbstractObserver):
     guard: Guard = eqx.field(default_factory=Guard)
     forget: bool = eqx.field(static=True, default=False)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("gain", self.gain, "rad/s")
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:

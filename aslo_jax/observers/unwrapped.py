@@ -1,18 +1,22 @@
 """Angles from encoders, which wrap, as angles that do not."""
 
 from collections.abc import Mapping
+from typing import Generic
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float
 
 from .._signals import Shape
+from .._typing import PyTree
 from ..realise import Pass
-from .base import AbstractObserver
+from .base import AbstractObserver, Est
 from .pll import wrap
 
+__all__ = ["Unwrapped"]
 
-class Unwrapped(AbstractObserver):
+
+class Unwrapped(AbstractObserver[Est], Generic[Est]):
     """An observer of `y`, shape `(p,)`, whose marked entries are angles (rad) that may jump
     by full turns between samples: they are unwrapped on the way in.
 
@@ -25,14 +29,14 @@ class Unwrapped(AbstractObserver):
     Source: theory, section 5.
     """
 
-    observer: AbstractObserver
+    observer: AbstractObserver[Est]
     angles: tuple[bool, ...] = eqx.field(static=True)
 
     @property
     def signals(self) -> Mapping[str, Shape]:
         return getattr(self.observer, "signals", {})
 
-    def equations(self, F: Pass, u: PyTree, y: PyTree):
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Est:
         return self.observer(F, u, y)
 
     def continued(self, before, y):

@@ -6,9 +6,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import is_concrete, optional_real
+from .._module import Module
+from .._typing import PyTree
 from ..completions import Repeat
 from ..filters import AbstractFilter, LowPass
 from ..plants import AbstractMechanicalSystem
@@ -20,8 +22,16 @@ from .asymptotic import Asymptotic
 from .base import AbstractObserver, Estimate
 from .unwrapped import Unwrapped
 
+__all__ = [
+    "CoordinateVelocity",
+    "MomentumRelation",
+    "Velocities",
+    "VelocityObserver",
+    "velocity_observer",
+]
 
-class MomentumRelation(eqx.Module):
+
+class MomentumRelation(Module):
     """The rate relation of one coordinate's momentum. With the inertia `m(q)` of coordinate
     j and its generalised force f, friction not included,
 
@@ -109,7 +119,7 @@ def _starting_at(observer, start, keep):
     return dataclasses.replace(observer, initial=start)
 
 
-class Velocities(AbstractObserver):
+class Velocities(AbstractObserver[dict[str, Estimate]]):
     """The velocities of all coordinates from `y = q`, as a dictionary with one estimate,
     of shape `(1,)`, for each: `qdot1`, `qdot2`, and so on.
 

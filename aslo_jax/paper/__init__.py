@@ -9,6 +9,8 @@ import jax
 
 from .._extras import require
 
+__all__ = ["SECTIONS", "run"]
+
 SECTIONS = (2, 3, 4)
 
 

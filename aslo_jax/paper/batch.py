@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 import jax
 import numpy as np
-from jaxtyping import PyTree
+
+from .._typing import PyTree
 
 
 def one_by_one(one: Callable[[PyTree], PyTree], over: PyTree) -> PyTree:

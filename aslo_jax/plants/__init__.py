@@ -33,3 +33,30 @@ from .mechanisms import (
 from .pmsm import PMSM as PMSM
 from .stepper import Stepper as Stepper
 from .wrim import WRIM as WRIM, WindingFluxRelation as WindingFluxRelation
+
+__all__ = [
+    "PMSM",
+    "WRIM",
+    "AbstractMachine",
+    "AbstractMechanicalSystem",
+    "AbstractPlant",
+    "BallBeam",
+    "BearingFluxRelation",
+    "BearingState",
+    "CartOnArm",
+    "ChainRelation",
+    "FluxRelation",
+    "InertiaWheelPendulum",
+    "IntegratorChain",
+    "InteriorPMSM",
+    "MachineState",
+    "MagneticBearing",
+    "MechanicalState",
+    "MechanicalSystem",
+    "RoboticLeg",
+    "SalientFluxRelation",
+    "SelfConsistentFluxRelation",
+    "Stepper",
+    "VariableLengthPendulum",
+    "WindingFluxRelation",
+]

@@ -2,13 +2,17 @@
 
 import abc
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
+
+from .._module import Module
+from .._typing import PyTree
+
+__all__ = ["AbstractPlant"]
 
 
-class AbstractPlant(eqx.Module):
+class AbstractPlant(Module):
     """A system `x' = f(t, x, u)` with measured output `y` and a hidden part to estimate.
 
     A plant is its parameters, in SI units; its state is a value.

@@ -8,13 +8,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import optional_real, positive, real
+from .._module import Module
 from .._small import safe_reciprocal
+from .._typing import PyTree, RealArray
 from ..relations import Quadratic
 from .base import AbstractPlant
 from .machine import no_load
 
+__all__ = ["BearingFluxRelation", "BearingState", "MagneticBearing"]
 
-class BearingFluxRelation(eqx.Module):
+
+class BearingFluxRelation(Module):
     """`i1 psi2 + i2 psi1 = (4 g/k) psi1 psi2`: the fluxes (Wb) of two opposed coils from
     their voltages (V) and currents (A), all of shape `(2,)`, wherever the body is.
 
@@ -55,7 +59,7 @@ class BearingFluxRelation(eqx.Module):
         return (squares[0] - squares[1]) / (self.force_constant * self.mass)
 
 
-class BearingState(eqx.Module):
+class BearingState(Module):
     """`flux` of the coils (Wb), shape `(2,)`; `position` (m) and `velocity` (m/s) of the
     body, positive towards coil 1."""
 
@@ -93,7 +97,7 @@ class MagneticBearing(AbstractPlant):
     touchdown_stiffness: Float[Array, ""] = eqx.field(converter=real, default=5e6)
     touchdown_damping: Float[Array, ""] = eqx.field(converter=real, default=1e3)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("resistance", self.resistance, "ohm")
         positive("gap", self.gap, "m")
         positive("force_constant", self.force_constant, "H m")
@@ -113,13 +117,13 @@ class MagneticBearing(AbstractPlant):
         )
         return cls(**(table | changes))
 
-    def initial(self):
+    def initial(self) -> PyTree:
         """Centred and at rest, with the current `bias` (A) in both coils."""
         zero = jnp.zeros_like(self.gap)
         flux = 0.5 * self.force_constant * self.bias / self.gap
         return BearingState(jnp.stack([flux, flux]), zero, zero)
 
-    def vector_field(self, t, x, u):
+    def vector_field(self, t: RealArray, x: PyTree, u: PyTree) -> PyTree:
         outer = self.force(t) + self.support(x)
         acceleration = self.flux_relation().acceleration(x.flux) + outer / self.mass
         rate = u - self.resistance * self.output(x)
@@ -134,11 +138,11 @@ class MagneticBearing(AbstractPlant):
         push = self.touchdown_stiffness * depth + self.touchdown_damping * side * x.velocity
         return jnp.where(depth > 0, -side * jnp.maximum(push, 0.0), 0.0)
 
-    def output(self, x):
+    def output(self, x: PyTree) -> PyTree:
         gaps = jnp.stack([self.gap - x.position, self.gap + x.position])
         return 2.0 * gaps * x.flux / self.force_constant
 
-    def hidden(self, x):
+    def hidden(self, x: PyTree) -> RealArray:
         return jnp.concatenate([x.flux, jnp.stack([x.position, x.velocity])])
 
     def energy(self, x: BearingState) -> Float[Array, ""]:

@@ -4,11 +4,15 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._module import Module
+from .._typing import PyTree, RealArray
 from ..relations import Rate
 from .base import AbstractPlant
 
+__all__ = ["ChainRelation", "IntegratorChain"]
 
-class ChainRelation(eqx.Module):
+
+class ChainRelation(Module):
     """`x2 = y'`, the rate relation of a chain of `order` integrators.
 
     The unmeasured state is `(x2, ..., xn)`, with `x_i' = x_(i+1)` and `x_n' = u`.
@@ -38,24 +42,24 @@ class IntegratorChain(AbstractPlant):
 
     order: int = eqx.field(static=True, default=2)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.order < 2:
             raise ValueError(
                 f"Argument `order` must be at least 2 for a state to be hidden, but got "
                 f"{self.order}."
             )
 
-    def initial(self):
+    def initial(self) -> PyTree:
         return jnp.zeros(self.order)
 
-    def vector_field(self, t, x, u):
+    def vector_field(self, t: RealArray, x: PyTree, u: PyTree) -> PyTree:
         del t
         return jnp.append(x[1:], u)
 
-    def output(self, x):
+    def output(self, x: PyTree) -> PyTree:
         return x[0]
 
-    def hidden(self, x):
+    def hidden(self, x: PyTree) -> RealArray:
         return x[1:]
 
     def relation(self) -> ChainRelation:

@@ -8,13 +8,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real
+from .._module import Module
 from .._small import safe_rsqrt
+from .._typing import RealArray
 from ..relations import Quadratic
-from .machine import direction, no_load
+from .machine import Inductance, direction, no_load
 from .magnet import AbstractMagnetMachine
 
 
-class SalientFluxRelation(eqx.Module):
+class SalientFluxRelation(Module):
     """`(phi - Ld i)'(phi - Lq i) = m (m + (Ld - Lq) i_d)`: the stator flux phi (Wb) of an
     interior PMSM from stator voltage u (V) and current i (A), all of shape `(2,)`.
 
@@ -58,7 +60,7 @@ class SalientFluxRelation(eqx.Module):
         return flux - self.quadrature_inductance * y
 
 
-class SelfConsistentFluxRelation(eqx.Module):
+class SelfConsistentFluxRelation(Module):
     """The relation of an interior PMSM with the d current seen by an estimate of the flux:
     `i_d = x_a'i/|x_a|`, `x_a = flux - Lq i`, which is within +-|i| whatever the estimate.
 
@@ -103,7 +105,7 @@ class InteriorPMSM(AbstractMagnetMachine):
     load: Callable[[Float[Array, ""]], Float[Array, ""]] = no_load
     torque_factor: Float[Array, ""] = eqx.field(converter=real, default=1.5)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("direct_inductance", self.direct_inductance, "H")
         positive("quadrature_inductance", self.quadrature_inductance, "H")
         positive("magnet_flux", self.magnet_flux, "Wb")
@@ -123,13 +125,13 @@ class InteriorPMSM(AbstractMagnetMachine):
         )
         return cls(**(table | changes))
 
-    def inductances(self, theta):
+    def inductances(self, theta: RealArray) -> Inductance:
         Ld, Lq = self.direct_inductance, self.quadrature_inductance
         mean, half = 0.5 * (Ld + Lq), 0.5 * (Ld - Lq)
         a, b = half * direction(2.0 * theta)
         return jnp.stack([jnp.stack([mean + a, b]), jnp.stack([b, mean - a])])
 
-    def detent(self, theta):
+    def detent(self, theta: RealArray) -> RealArray:
         return jnp.zeros_like(theta)
 
     def flux_relation(self) -> SalientFluxRelation:

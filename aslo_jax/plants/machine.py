@@ -9,14 +9,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, whole
+from .._module import Module
 from .._small import solve_definite
+from .._typing import PyTree, RealArray
 from ..relations import contract
 from .base import AbstractPlant
 
 Inductance = Float[Array, ""] | Float[Array, "n n"]
 
 
-class MachineState(eqx.Module):
+class MachineState(Module):
     """`flux` linked with each winding (Wb), shape `(n,)`; mechanical `speed` (rad/s) and
     mechanical `angle` (rad), unwrapped."""
 
@@ -56,7 +58,7 @@ class AbstractMachine(AbstractPlant):
     load: eqx.AbstractVar[Callable[[Float[Array, ""]], Float[Array, ""]]]
     torque_factor: eqx.AbstractVar[Float[Array, ""]]
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         # Equinox calls this after the checks of the final class.
         positive("inertia", self.inertia, "kg m^2")
         whole("pole_pairs", self.pole_pairs)
@@ -78,7 +80,7 @@ class AbstractMachine(AbstractPlant):
     def detent(self, theta: Float[Array, ""]) -> Float[Array, ""]:
         """The torque of the magnets on the iron alone (N m)."""
 
-    def initial(self):
+    def initial(self) -> PyTree:
         """At rest, angle zero, no current."""
         zero = jnp.zeros_like(self.inertia)
         return MachineState(self.magnet(zero), zero, zero)
@@ -96,16 +98,16 @@ class AbstractMachine(AbstractPlant):
         _, derivative = jax.jvp(coenergy, (theta,), (jnp.ones_like(theta),))
         return self.torque_factor * self.pole_pairs * derivative + self.detent(theta)
 
-    def vector_field(self, t, x, u):
+    def vector_field(self, t: RealArray, x: PyTree, u: PyTree) -> PyTree:
         net = self.torque(x) - self.friction * x.speed - self.load(t)
         return MachineState(self.flux_rate(u, self.output(x)), net / self.inertia, x.speed)
 
-    def output(self, x):
+    def output(self, x: PyTree) -> PyTree:
         theta = self.pole_pairs * x.angle
         L, linked = self.inductances(theta), x.flux - self.magnet(theta)
         return linked / L if L.ndim == 0 else solve_definite(L, linked)[0]
 
-    def hidden(self, x):
+    def hidden(self, x: PyTree) -> RealArray:
         return x.flux
 
     def field_energy(self, x: MachineState) -> Float[Array, ""]:

@@ -5,11 +5,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real
+from .._module import Module
+from .._typing import RealArray
 from ..relations import Quadratic
-from .machine import AbstractMachine, direction
+from .machine import AbstractMachine, Inductance, direction
 
 
-class FluxRelation(eqx.Module):
+class FluxRelation(Module):
     """`|phi - L i|^2 = m^2`: the stator flux phi (Wb) from stator voltage u (V) and stator
     current i (A), all of shape `(2,)`, in the stationary amplitude-invariant frame. Of any
     motor with round magnets and no saliency: PMSM, two-phase stepper.
@@ -41,13 +43,13 @@ class AbstractMagnetMachine(AbstractMachine):
     resistance: eqx.AbstractVar[Float[Array, ""]]
     magnet_flux: eqx.AbstractVar[Float[Array, ""]]
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("resistance", self.resistance, "ohm")
 
-    def magnet(self, theta):
+    def magnet(self, theta: RealArray) -> RealArray:
         return self.magnet_flux * direction(theta)
 
-    def flux_rate(self, u, y):
+    def flux_rate(self, u: RealArray, y: RealArray) -> RealArray:
         return u - self.resistance * y
 
 
@@ -56,10 +58,10 @@ class AbstractRoundMachine(AbstractMagnetMachine):
 
     inductance: eqx.AbstractVar[Float[Array, ""]]
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("inductance", self.inductance, "H")
 
-    def inductances(self, theta):
+    def inductances(self, theta: RealArray) -> Inductance:
         return self.inductance
 
     def flux_relation(self) -> FluxRelation:

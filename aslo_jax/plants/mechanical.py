@@ -6,14 +6,18 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
+from .._module import Module
 from .._small import solve_definite
+from .._typing import PyTree, RealArray
 from ..relations import contract
 from .base import AbstractPlant
 
+__all__ = ["AbstractMechanicalSystem", "MechanicalState", "MechanicalSystem", "solve"]
 
-class MechanicalState(eqx.Module):
+
+class MechanicalState(Module):
     """`position`: the generalised coordinates q (rad or m, angles unwrapped), and
     `velocity`: their derivatives, each of shape `(n,)`."""
 
@@ -87,17 +91,17 @@ class AbstractMechanicalSystem(AbstractPlant):
         q = jax.ShapeDtypeStruct((coordinates,), jnp.result_type(float))
         return {"u": jax.eval_shape(self.input_matrix, q).shape[1:], "y": q.shape}
 
-    def vector_field(self, t, x, u):
+    def vector_field(self, t: RealArray, x: PyTree, u: PyTree) -> PyTree:
         del t
         return MechanicalState(x.velocity, self.acceleration(x.position, x.velocity, u))
 
-    def output(self, x):
+    def output(self, x: PyTree) -> PyTree:
         return x.position
 
-    def hidden(self, x):
+    def hidden(self, x: PyTree) -> RealArray:
         return x.velocity
 
-    def no_input(self, y):
+    def no_input(self, y: PyTree) -> PyTree:
         return jnp.zeros_like(self.input_matrix(y)[0])
 
 
@@ -131,7 +135,7 @@ class MechanicalSystem(AbstractMechanicalSystem):
         position: PyTree,
         friction: Callable[[Float[Array, " n"]], Array] | None = None,
         angles: tuple[bool, ...] = (),
-    ):
+    ) -> None:
         self._inertia = inertia
         self._potential = potential
         self._input_matrix = input_matrix
@@ -139,7 +143,7 @@ class MechanicalSystem(AbstractMechanicalSystem):
         self.position = jnp.asarray(position, float)
         self.angles = tuple(map(bool, angles))
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         q = self.position
         if not isinstance(q, jax.Array):
             return  # a placeholder of a tree transformation
@@ -176,23 +180,23 @@ class MechanicalSystem(AbstractMechanicalSystem):
                 f"coordinates, but it returns {G}."
             )
 
-    def initial(self):
+    def initial(self) -> PyTree:
         return MechanicalState(self.position, jnp.zeros_like(self.position))
 
-    def inertia(self, q):
+    def inertia(self, q: RealArray) -> RealArray:
         return _matrix(self._inertia(q))
 
-    def potential(self, q):
+    def potential(self, q: RealArray) -> RealArray:
         if self._potential is None:
             return jnp.zeros_like(q[0])
         return jnp.asarray(self._potential(q), q.dtype)
 
-    def input_matrix(self, q):
+    def input_matrix(self, q: RealArray) -> RealArray:
         if self._input_matrix is None:
             return jnp.eye(q.shape[0], dtype=q.dtype)
         return jnp.asarray(self._input_matrix(q), q.dtype)
 
-    def friction(self, q):
+    def friction(self, q: RealArray) -> RealArray:
         if self._friction is None:
             return jnp.zeros((q.shape[0], q.shape[0]), q.dtype)
         return _matrix(self._friction(q))

@@ -6,7 +6,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import nonnegative, positive, real
+from .._typing import PyTree, RealArray
 from .mechanical import AbstractMechanicalSystem, MechanicalState
+
+__all__ = [
+    "BallBeam",
+    "CartOnArm",
+    "InertiaWheelPendulum",
+    "RoboticLeg",
+    "VariableLengthPendulum",
+    "at_rest",
+    "none_of",
+]
 
 
 def none_of(n: int):
@@ -32,25 +43,25 @@ class RoboticLeg(AbstractMechanicalSystem):
     damping: Float[Array, " 3"] = none_of(3)
     angles: tuple[bool, ...] = eqx.field(static=True, default=(False, True, True))
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("m1", self.m1, "kg")
         positive("m2", self.m2, "kg m^2")
         nonnegative("damping", self.damping)
 
-    def initial(self):
+    def initial(self) -> PyTree:
         """At rest, 1 m long, at angle zero."""
         return at_rest(self.m1, [1.0, 0.0, 0.0])
 
-    def inertia(self, q):
+    def inertia(self, q: RealArray) -> RealArray:
         return jnp.diag(jnp.stack([self.m1, self.m1 * q[0] ** 2, self.m2]))
 
-    def potential(self, q):
+    def potential(self, q: RealArray) -> RealArray:
         return jnp.zeros_like(q[0])
 
-    def input_matrix(self, q):
+    def input_matrix(self, q: RealArray) -> RealArray:
         return jnp.asarray([[1.0, 0.0], [0.0, 1.0], [0.0, -1.0]], q.dtype)
 
-    def friction(self, q):
+    def friction(self, q: RealArray) -> RealArray:
         return jnp.diag(self.damping)
 
 
@@ -71,25 +82,25 @@ class BallBeam(AbstractMechanicalSystem):
     damping: Float[Array, " 2"] = none_of(2)
     angles: tuple[bool, ...] = eqx.field(static=True, default=(False, True))
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("length", self.length, "m")
         nonnegative("damping", self.damping)
 
-    def initial(self):
+    def initial(self) -> PyTree:
         """At rest in the middle of a level beam."""
         return at_rest(self.length, [0.0, 0.0])
 
-    def inertia(self, q):
+    def inertia(self, q: RealArray) -> RealArray:
         one = jnp.ones_like(self.length)
         return jnp.diag(jnp.stack([one, self.length**2 + q[0] ** 2]))
 
-    def potential(self, q):
+    def potential(self, q: RealArray) -> RealArray:
         return self.gravity * q[0] * jnp.sin(q[1])
 
-    def input_matrix(self, q):
+    def input_matrix(self, q: RealArray) -> RealArray:
         return jnp.asarray([[0.0], [1.0]], q.dtype)
 
-    def friction(self, q):
+    def friction(self, q: RealArray) -> RealArray:
         return jnp.diag(self.damping)
 
 
@@ -109,26 +120,26 @@ class CartOnArm(AbstractMechanicalSystem):
     damping: Float[Array, " 2"] = none_of(2)
     angles: tuple[bool, ...] = eqx.field(static=True, default=(False, True))
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("mass", self.mass, "kg")
         positive("inertia_arm", self.inertia_arm, "kg m^2")
         nonnegative("damping", self.damping)
 
-    def initial(self):
+    def initial(self) -> PyTree:
         """At rest, half a metre out, the arm level."""
         return at_rest(self.mass, [0.5, 0.0])
 
-    def inertia(self, q):
+    def inertia(self, q: RealArray) -> RealArray:
         arm = self.inertia_arm + self.mass * q[0] ** 2
         return jnp.diag(jnp.stack([self.mass, arm]))
 
-    def potential(self, q):
+    def potential(self, q: RealArray) -> RealArray:
         return self.mass * self.gravity * q[0] * jnp.sin(q[1])
 
-    def input_matrix(self, q):
+    def input_matrix(self, q: RealArray) -> RealArray:
         return jnp.eye(2, dtype=q.dtype)
 
-    def friction(self, q):
+    def friction(self, q: RealArray) -> RealArray:
         return jnp.diag(self.damping)
 
 
@@ -152,25 +163,25 @@ class InertiaWheelPendulum(AbstractMechanicalSystem):
     damping: Float[Array, " 2"] = none_of(2)
     angles: tuple[bool, ...] = eqx.field(static=True, default=(True, True))
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("inertia_pendulum", self.inertia_pendulum, "kg m^2")
         positive("inertia_wheel", self.inertia_wheel, "kg m^2")
         nonnegative("damping", self.damping)
 
-    def initial(self):
+    def initial(self) -> PyTree:
         """Hanging, at rest."""
         return at_rest(self.weight, [jnp.pi, 0.0])
 
-    def inertia(self, q):
+    def inertia(self, q: RealArray) -> RealArray:
         return jnp.diag(jnp.stack([self.inertia_pendulum, self.inertia_wheel]))
 
-    def potential(self, q):
+    def potential(self, q: RealArray) -> RealArray:
         return self.weight * jnp.cos(q[0])
 
-    def input_matrix(self, q):
+    def input_matrix(self, q: RealArray) -> RealArray:
         return jnp.asarray([[-1.0], [1.0]], q.dtype)
 
-    def friction(self, q):
+    def friction(self, q: RealArray) -> RealArray:
         pivot, axle = self.damping
         return jnp.stack([jnp.stack([pivot + axle, -axle]), jnp.stack([-axle, axle])])
 
@@ -189,24 +200,24 @@ class VariableLengthPendulum(AbstractMechanicalSystem):
     damping: Float[Array, " 2"] = none_of(2)
     angles: tuple[bool, ...] = eqx.field(static=True, default=(False, True))
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("mass", self.mass, "kg")
         nonnegative("damping", self.damping)
 
-    def initial(self):
+    def initial(self) -> PyTree:
         """At rest, 1 m long, 0.3 rad from hanging."""
         return at_rest(self.mass, [1.0, 0.3])
 
-    def inertia(self, q):
+    def inertia(self, q: RealArray) -> RealArray:
         return jnp.diag(jnp.stack([self.mass, self.mass * q[0] ** 2]))
 
-    def potential(self, q):
+    def potential(self, q: RealArray) -> RealArray:
         return -self.mass * self.gravity * q[0] * jnp.cos(q[1])
 
-    def input_matrix(self, q):
+    def input_matrix(self, q: RealArray) -> RealArray:
         return jnp.asarray([[1.0], [0.0]], q.dtype)
 
-    def friction(self, q):
+    def friction(self, q: RealArray) -> RealArray:
         return jnp.diag(self.damping)
 
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real
+from .._typing import RealArray
 from .machine import no_load
 from .magnet import AbstractRoundMachine
 
@@ -35,7 +36,7 @@ class PMSM(AbstractRoundMachine):
     load: Callable[[Float[Array, ""]], Float[Array, ""]] = no_load
     torque_factor: Float[Array, ""] = eqx.field(converter=real, default=1.5)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("magnet_flux", self.magnet_flux, "Wb")
 
     @classmethod
@@ -50,5 +51,5 @@ class PMSM(AbstractRoundMachine):
         )
         return cls(**(table | changes))
 
-    def detent(self, theta):
+    def detent(self, theta: RealArray) -> RealArray:
         return jnp.zeros_like(theta)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real
+from .._typing import RealArray
 from .machine import no_load
 from .magnet import AbstractRoundMachine
 
@@ -40,7 +41,7 @@ class Stepper(AbstractRoundMachine):
     load: Callable[[Float[Array, ""]], Float[Array, ""]] = no_load
     torque_factor: Float[Array, ""] = eqx.field(converter=real, default=1.0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("torque_constant", self.torque_constant, "N m/A")
 
     @classmethod
@@ -64,5 +65,5 @@ class Stepper(AbstractRoundMachine):
         """What the magnet links with a phase (Wb)."""
         return self.torque_constant / self.pole_pairs
 
-    def detent(self, theta):
+    def detent(self, theta: RealArray) -> RealArray:
         return -self.detent_torque * jnp.sin(4.0 * theta)

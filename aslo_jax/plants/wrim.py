@@ -8,13 +8,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real
+from .._module import Module
+from .._typing import RealArray
 from ..relations import Quadratic
-from .machine import AbstractMachine, direction, no_load
+from .machine import AbstractMachine, Inductance, direction, no_load
 
 WINDINGS = {"stator": slice(0, 2), "rotor": slice(2, 4)}
 
 
-class WindingFluxRelation(eqx.Module):
+class WindingFluxRelation(Module):
     """`|phi_k - L_k i_k|^2 = L_sr^2 |i_other|^2`: the flux phi_k (Wb), shape `(2,)`, of the
     stator or the rotor of a wound-rotor induction machine, in the frame of that winding.
 
@@ -32,7 +34,7 @@ class WindingFluxRelation(eqx.Module):
     inductance: Float[Array, ""] = eqx.field(converter=real)
     mutual_inductance: Float[Array, ""] = eqx.field(converter=real)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.winding not in WINDINGS:
             raise ValueError(
                 f'Argument `winding` must be "stator" or "rotor", but got {self.winding!r}.'
@@ -83,7 +85,7 @@ class WRIM(AbstractMachine):
     load: Callable[[Float[Array, ""]], Float[Array, ""]] = no_load
     torque_factor: Float[Array, ""] = eqx.field(converter=real, default=1.5)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("stator_resistance", self.stator_resistance, "ohm")
         positive("rotor_resistance", self.rotor_resistance, "ohm")
         positive("stator_inductance", self.stator_inductance, "H")
@@ -111,7 +113,7 @@ class WRIM(AbstractMachine):
         )
         return cls(**(table | changes))
 
-    def inductances(self, theta):
+    def inductances(self, theta: RealArray) -> Inductance:
         Ls, Lr, zero = self.stator_inductance, self.rotor_inductance, 0.0 * theta
         a, b = self.mutual_inductance * direction(theta)
         return jnp.stack(
@@ -123,14 +125,14 @@ class WRIM(AbstractMachine):
             ]
         )
 
-    def magnet(self, theta):
+    def magnet(self, theta: RealArray) -> RealArray:
         return jnp.zeros(4, theta.dtype)
 
-    def flux_rate(self, u, y):
+    def flux_rate(self, u: RealArray, y: RealArray) -> RealArray:
         Rs, Rr = self.stator_resistance, self.rotor_resistance
         return winding_voltages(u) - jnp.stack([Rs, Rs, Rr, Rr]) * y
 
-    def detent(self, theta):
+    def detent(self, theta: RealArray) -> RealArray:
         return jnp.zeros_like(theta)
 
     def flux_relation(self, winding: str) -> WindingFluxRelation:

@@ -24,6 +24,32 @@ if TYPE_CHECKING:
     from .sensitivity import slopes as slopes, sobol_indices as sobol_indices
     from .statistics import quantile as quantile, summarise as summarise
 
+__all__ = [
+    "DESIGNS",
+    "AbstractDistribution",
+    "Bound",
+    "Correlated",
+    "Discrete",
+    "LogNormal",
+    "Normal",
+    "Parameter",
+    "Spread",
+    "Uniform",
+    "bound_of",
+    "compare",
+    "cramer_rao",
+    "influences",
+    "open_study",
+    "quantile",
+    "ranking",
+    "run",
+    "slopes",
+    "sobol_indices",
+    "summarise",
+    "with_bound",
+    "write_report",
+]
+
 # Evaluation needs scipy.stats, which is slow to import.
 _LATER = {
     "Bound": "bound",

@@ -10,9 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
+from .. import _choices, random
+from .._checks import one_of
+from .._module import Module
 from .._runge_kutta import runge_kutta
+from .._typing import Average, PyTree
 from ..disturbances import AbstractDisturbance, SampledNoise
 from ..engines import run_batch
 from ..experiment import Carry, Experiment, Record
@@ -22,7 +26,7 @@ from .tables import BOUND
 Square = Float[Array, "n n"]
 
 
-class Bound(eqx.Module):
+class Bound(Module):
     """The bound at the instants `t` (s) of the samples in time, shape `(T,)`: `variance` of
     each entry of the hidden state in its squared unit, shape `(N, T, m)`, for N
     trajectories, or one where they were averaged before."""
@@ -41,7 +45,10 @@ class Bound(eqx.Module):
         return np.sqrt(self.variance.sum(2).mean(0))
 
     def rms(
-        self, after: float = 0.0, confidence: float = 0.95, seed: int = 0
+        self,
+        after: float = 0.0,
+        confidence: float = 0.95,
+        key: random.KeyLike | None = None,
     ) -> statistics.Interval:
         """The least rms, over samples and over time from `after` (s) on, of the norm of the
         error: the bound on the rms over samples of the metric `RMSError`. The interval is
@@ -53,7 +60,7 @@ class Bound(eqx.Module):
                 f"s, but got {after}."
             )
         size = np.sqrt(counted.sum(2).mean(1))
-        return statistics.rms(size, confidence, seed)
+        return statistics.rms(size, confidence, key)
 
 
 def cramer_rao(
@@ -64,7 +71,7 @@ def cramer_rao(
     prior: PyTree,
     process: PyTree | None = None,
     noise: Any = None,
-    average: str = "bounds",
+    average: Average = "bounds",
 ) -> Bound:
     """The Cramer-Rao bound on the error of any observer that knows the plant, the inputs
     and the statistics of the noises, for `make(sample)` over `steps` samples in time.
@@ -105,10 +112,7 @@ def cramer_rao(
     **Raises:** `ValueError` in single precision, for a sensor without noise, or for
     `"information"` without noise on every state.
     """
-    if average not in ("bounds", "information"):
-        raise ValueError(
-            f'Argument `average` must be "bounds" or "information", but got {average!r}.'
-        )
+    one_of("average", average, _choices.Average)
     if jnp.result_type(float) != jnp.float64:
         raise ValueError(
             "The bound needs double precision, but JAX is in single; call "
@@ -141,7 +145,7 @@ def with_bound(dataset: Any, bound: Bound, after: Mapping[str, float]) -> Any:
     return dataset
 
 
-class _Model(eqx.Module):
+class _Model(Module):
     """The discrete-time model of one sample, linearised about its trajectory."""
 
     make: Callable[[PyTree], Experiment]
@@ -193,7 +197,7 @@ class _Model(eqx.Module):
         return H / jnp.sqrt(R)[:, None], C
 
 
-class _Along(eqx.Module):
+class _Along(Module):
     """The bound along the trajectory of one sample, as an experiment that an engine runs:
     its carry is the experiment's and P, its record the variances of what is hidden."""
 

@@ -7,17 +7,21 @@ is always the same point.
 import hashlib
 import threading
 from collections.abc import Callable, Sequence
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float
 
+from .. import _choices
+from .._typing import DesignName
+
 Design = Callable[[int, int], Float[np.ndarray, "N d"]]
 
-DESIGNS = ("iid", "lhs", "sobol")
+DESIGNS = get_args(_choices.DesignName)
 ALIGNED = 4  # a range starts at a multiple of this: Philox gives words in fours
 
 
-def make_design(kind: str, names: Sequence[str], seed: int, samples: int) -> Design:
+def make_design(kind: DesignName, names: Sequence[str], seed: int, samples: int) -> Design:
     """`design(start, stop)`: the points of the samples from `start` to before `stop`, one
     coordinate, in (0, 1), for each of `names`.
 
@@ -63,7 +67,7 @@ def _generator(seed: int) -> np.random.Generator:
 class _Sobol:
     """Goes on from where it was where that is possible, and else starts again."""
 
-    def __init__(self, names: Sequence[str], seed: int):
+    def __init__(self, names: Sequence[str], seed: int) -> None:
         self.dimension, self.seed = len(names), seed
         self.engine, self.position = self._start(), 0
         self.lock = threading.Lock()
@@ -96,7 +100,7 @@ class _Sobol:
 
 
 class _LatinHypercube:
-    def __init__(self, names: Sequence[str], seed: int, samples: int):
+    def __init__(self, names: Sequence[str], seed: int, samples: int) -> None:
         from scipy.stats import qmc
 
         sampler = qmc.LatinHypercube(len(names), rng=_generator(seed))

@@ -7,6 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from .._typing import HostArray
+
+__all__ = [
+    "AbstractDistribution",
+    "Correlated",
+    "Discrete",
+    "LogNormal",
+    "Normal",
+    "Uniform",
+]
+
 
 class AbstractDistribution(abc.ABC):
     """A distribution of one number, or of several that depend on each other.
@@ -31,15 +42,15 @@ class Normal(AbstractDistribution):
     mean: float
     deviation: float
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _finite("mean", self.mean)
         _positive("deviation", self.deviation)
 
     @property
-    def dimension(self):
+    def dimension(self) -> int:
         return 1
 
-    def quantiles(self, u):
+    def quantiles(self, u: HostArray) -> HostArray:
         return _scipy().norm.ppf(u, self.mean, self.deviation)
 
 
@@ -50,7 +61,7 @@ class Uniform(AbstractDistribution):
     low: float
     high: float
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _finite("low", self.low)
         _finite("high", self.high)
         if not self.low < self.high:
@@ -60,10 +71,10 @@ class Uniform(AbstractDistribution):
             )
 
     @property
-    def dimension(self):
+    def dimension(self) -> int:
         return 1
 
-    def quantiles(self, u):
+    def quantiles(self, u: HostArray) -> HostArray:
         return _scipy().uniform.ppf(u, self.low, self.high - self.low)
 
 
@@ -75,15 +86,15 @@ class LogNormal(AbstractDistribution):
     median: float
     deviation: float
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _positive("median", self.median)
         _positive("deviation", self.deviation)
 
     @property
-    def dimension(self):
+    def dimension(self) -> int:
         return 1
 
-    def quantiles(self, u):
+    def quantiles(self, u: HostArray) -> HostArray:
         return _scipy().lognorm.ppf(u, self.deviation, scale=self.median)
 
 
@@ -95,7 +106,7 @@ class Discrete(AbstractDistribution):
     values: tuple[float, ...]
     weights: tuple[float, ...] | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "values", tuple(float(v) for v in self.values))
         if not self.values:
             raise ValueError(
@@ -116,10 +127,10 @@ class Discrete(AbstractDistribution):
             )
 
     @property
-    def dimension(self):
+    def dimension(self) -> int:
         return 1
 
-    def quantiles(self, u):
+    def quantiles(self, u: HostArray) -> HostArray:
         values = np.asarray(self.values)
         weights = np.ones(values.size) if self.weights is None else np.array(self.weights)
         positions = np.arange(values.size)
@@ -137,7 +148,7 @@ class Correlated(AbstractDistribution):
     mean: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         mean = np.asarray(self.mean, float)
         covariance = np.asarray(self.covariance, float)
         object.__setattr__(self, "mean", tuple(mean.tolist()))
@@ -178,10 +189,10 @@ class Correlated(AbstractDistribution):
         return cls(tuple(mean), tuple(map(tuple, covariance.tolist())))
 
     @property
-    def dimension(self):
+    def dimension(self) -> int:
         return len(self.mean)
 
-    def quantiles(self, u):
+    def quantiles(self, u: HostArray) -> HostArray:
         root = np.linalg.cholesky(np.asarray(self.covariance))
         standard = _scipy().norm.ppf(u)
         # Column by column: a product of matrices may round differently by its size, and a

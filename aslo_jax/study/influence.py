@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from .. import random
+from .._typing import Engine
 from ..engines import Runner
 from ..experiment import Experiment
-from .problem import MakeMetric, made
+from ..metrics.base import MakeMetric, metric_of
 from .sensitivity import Index, sobol_indices
 from .spread import Sampler, Spread
 
@@ -24,8 +26,8 @@ def influences(
     *,
     scale: Float[np.ndarray, " n"] | None = None,
     base: int = 128,
-    seed: int = 0,
-    engine: str = "auto",
+    key: random.KeyLike | None = None,
+    engine: Engine = "auto",
     confidence: float = 0.95,
 ) -> Mapping[str, list[Index]]:
     """The Sobol indices of the logarithm of a metric, by observer, the largest total first.
@@ -34,15 +36,16 @@ def influences(
       its `metrics`; of several entries the Euclidean norm counts, each over `scale`;
     - `base`, `confidence`: as in [`sobol_indices`][].
 
-    All points see the noise of the first sample of the study with that `seed`. A metric
+    All points see the noise of the first sample of the study with that `key`, by default
+    `jax.random.key(0)`. A metric
     that is not finite counts as 1e12.
 
     **Raises:** `ValueError` as [`sobol_indices`][], and without a spread.
     """
-    sampler = Sampler(experiment, spread, seed, 1)
+    sampler = Sampler(experiment, spread, random.seed_of(key), 1)
     if not sampler.names:
         raise ValueError("Argument `spread` must name a parameter, but is empty.")
-    metrics = {name: made(metric, name) for name in experiment.observers}
+    metrics = {name: metric_of(metric, name) for name in experiment.observers}
     runner = Runner(sampler.make, sampler.like(), steps, metrics=metrics, engine=engine)
     found: dict[str, Any] = {}
 
@@ -59,7 +62,7 @@ def influences(
             lambda u, observer=observer: errors(u, observer),
             sampler.names,
             base,
-            seed=seed,
+            key=key,
             confidence=confidence,
         )
         for observer in experiment.observers

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import random
+from .._module import Module
 from ..experiment import Experiment
 
 Where = str | Callable[[Experiment], Any]
@@ -31,7 +32,7 @@ class Layout:
     Where the experiment starts at the plant's default state, that state has paths too.
     """
 
-    def __init__(self, experiment: Experiment):
+    def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment
         self.default_start = experiment.initial is None
         if self.default_start:
@@ -126,7 +127,7 @@ class Layout:
         return self.leaves[place.leaf].shape[len(place.entry) :]
 
 
-class Changed(eqx.Module):
+class Changed(Module):
     """The experiment of a sample: `places[k]` are set to `values[k]`, or multiplied by it
     where `relative[k]`; `keys` are replaced by those of the sample.
 

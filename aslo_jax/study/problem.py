@@ -4,7 +4,6 @@ import dataclasses
 import hashlib
 import json
 import re
-from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -14,9 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._module import Module
+from .._typing import Engine
 from ..engines import Runner
 from ..experiment import Experiment, Record
-from ..metrics import AbstractMetric
+from ..metrics.base import MakeMetric, metric_of
 from .leaves import Layout
 from .spread import Sampler, Spread
 from .store import Data, Schema, Variable
@@ -25,8 +26,6 @@ from .store import Data, Schema, Variable
 # always in the same place of its block. A multiple of every width of the fused engine.
 BLOCK = 256
 CHUNK = 1024  # by default: a progress every few seconds, ten pieces of 10,000 samples
-
-MakeMetric = Callable[[str], AbstractMetric] | AbstractMetric
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,13 +41,13 @@ class Problem:
     metrics: dict[str, MakeMetric]
     every: int | None
     scale: np.ndarray | None
-    engine: str
+    engine: Engine
     chunk: int
     configuration: dict[str, Any] | None
     units: dict[str, str]
     entries: tuple[str, ...] | None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not self.experiment.observers:
             raise ValueError("Argument `experiment` must have an observer, but has none.")
         if self.every is not None and (self.every < 1 or self.steps % self.every):
@@ -66,7 +65,7 @@ class Problem:
         return list(self.experiment.observers)
 
 
-class ErrorNorms(eqx.Module):
+class ErrorNorms(Module):
     """The norm of the error of every observer, or of the error over `scale`."""
 
     observers: tuple[str, ...] = eqx.field(static=True)
@@ -85,13 +84,13 @@ class Study:
     """A problem, traced: `schema` of its results, and [`Study.chunk`][] of them. It can be
     sent to other processes; what is not compiled yet is compiled there."""
 
-    def __init__(self, problem: Problem, threads: int | None = None):
+    def __init__(self, problem: Problem, threads: int | None = None) -> None:
         self.problem = problem
         self.sampler = Sampler(
             problem.experiment, problem.spread, problem.seed, problem.samples
         )
         metrics = {
-            f"{metric}/{observer}": made(make, observer)
+            f"{metric}/{observer}": metric_of(make, observer)
             for metric, make in problem.metrics.items()
             for observer in problem.observers
         }
@@ -213,13 +212,6 @@ def _hidden(experiment: Experiment) -> Float[Array, " n"]:
     return experiment.plant.hidden(jax.tree.map(jnp.asarray, start))
 
 
-def made(make: MakeMetric, observer: str) -> AbstractMetric:
-    """The metric of one observer."""
-    if isinstance(make, AbstractMetric):
-        return dataclasses.replace(make, observer=observer)  # pyright: ignore[reportCallIssue]
-    return make(observer)
-
-
 def versions() -> dict[str, str]:
     """Of the packages that decide the bits of a study."""
     found = {}
@@ -237,7 +229,7 @@ def _described(problem: Problem) -> dict[str, Any]:
         "experiment": eqx.tree_pformat(problem.experiment, short_arrays=False),
         "spread": str(problem.spread),
         "metrics": {
-            name: eqx.tree_pformat(made(make, "observer"), short_arrays=False)
+            name: eqx.tree_pformat(metric_of(make, "observer"), short_arrays=False)
             for name, make in problem.metrics.items()
         },
     }
@@ -266,7 +258,7 @@ def fingerprint(problem: Problem) -> str:
     add(problem.spread.design, problem.every)
     add(None if problem.scale is None else problem.scale.tolist())
     for name, make in problem.metrics.items():
-        metric = made(make, "observer")
+        metric = metric_of(make, "observer")
         add(name, type(metric).__qualname__, *map(_content, jax.tree.leaves(metric)))
         add(jax.tree.structure(metric))
     return found.hexdigest()

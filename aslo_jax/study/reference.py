@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .. import random
 from ..disturbances import Chain, SampledNoise
 from ..experiment import Experiment
 from .bound import Bound, cramer_rao, with_bound
@@ -38,7 +39,7 @@ def bound_of(
     spread: Spread,
     steps: int,
     *,
-    seed: int,
+    key: random.KeyLike,
     trajectories: int = TRAJECTORIES,
     scale: Float[np.ndarray, " n"] | None = None,
 ) -> Bound:
@@ -50,7 +51,7 @@ def bound_of(
 
     **Raises:** as [`cramer_rao`][].
     """
-    sampler = Sampler(experiment, spread, seed, trajectories)
+    sampler = Sampler(experiment, spread, random.seed_of(key), trajectories)
     samples = sampler(np.arange(trajectories), sampler.values(0, trajectories))
 
     def make(sample: Any) -> Experiment:
@@ -70,7 +71,7 @@ def with_reference(dataset: Any, configuration: "Configuration", seed: int) -> A
         configuration.experiment,
         configuration.spread,
         configuration.steps,
-        seed=seed,
+        key=random.key(seed),
         scale=configuration.scale,
     )
     return with_bound(dataset, bound, _after(configuration))

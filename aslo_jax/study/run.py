@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from .. import random
 from .._extras import require
+from .._typing import Engine
 from ..experiment import Experiment
+from ..metrics.base import MakeMetric
 from .cluster import run_on_cluster, start_workers
 from .distributions import AbstractDistribution
-from .problem import BLOCK, CHUNK, MakeMetric, Problem, Study
+from .problem import BLOCK, CHUNK, Problem, Study
 from .spread import Parameter, Spread
 from .store import Data, Schema, open_store, refuse_taken, stored_attributes
 
@@ -26,13 +29,13 @@ def run(
     spread: Spread | Mapping[str, Parameter | tuple[Any, AbstractDistribution]],
     *,
     samples: int,
-    seed: int,
+    key: random.KeyLike,
     metrics: Mapping[str, MakeMetric],
     steps: int | None = None,
     horizon: float | None = None,
     every: int | None = None,
     scale: Float[np.ndarray, " n"] | None = None,
-    engine: str = "auto",
+    engine: Engine = "auto",
     threads: int | None = None,
     chunk: int | None = None,
     store: str | Path | None = None,
@@ -46,9 +49,11 @@ def run(
     """Run `samples` experiments that differ by a spread and their random numbers.
 
     - `spread`: what varies, by name ([`Spread`][]); the keys of random disturbances vary by
-      themselves, with the `seed` and the sample;
-    - `metrics`: by name, `metric(observer)` for the name of an observer, a class of
-      `aslo_jax.metrics` for instance, or an instance, of which each observer gets one;
+      themselves, with the `key` and the sample;
+    - `key`: of all random numbers, as `jax.random.key(0)`
+    - `metrics`: by name, a class of `aslo_jax.metrics`, or any `metric(observer)` from the
+      name of an observer, or an instance, of which every observer of the experiment gets
+      one; an instance without an observer is the same for all;
     - `steps` of the experiment's interval, or the `horizon` (s) that they cover;
     - `every`: keeps the error of every `every`-th sample in time, its norm or that of the
       error over `scale` entry by entry; by default none is kept;
@@ -62,7 +67,7 @@ def run(
     - `configuration`, `units` (by variable), `entries` (names of what is estimated): kept
       with the results.
 
-    A sample depends on the seed and its index only. So the results have the same bits for
+    A sample depends on the key and its index only. So the results have the same bits for
     any chunk, thread and worker count, interrupted or not, with one engine, one model of
     processor and one set of packages. With a store, memory does not grow with `samples`.
 
@@ -81,7 +86,7 @@ def run(
         experiment=experiment,
         spread=spread,
         samples=_whole("samples", samples),
-        seed=_seed(seed),
+        seed=random.seed_of(key),
         steps=_steps(experiment, steps, horizon),
         metrics=dict(metrics),
         every=every,
@@ -175,14 +180,6 @@ def _whole(name: str, x: int) -> int:
     if x < 1 or x != int(x):
         raise ValueError(f"Argument `{name}` must be a whole number from 1, but got {x}.")
     return int(x)
-
-
-def _seed(seed: int) -> int:
-    if not 0 <= seed < 2**64:
-        raise ValueError(
-            f"Argument `seed` must be an integer in [0, 2**64), but got {seed}."
-        )
-    return int(seed)
 
 
 def _chunk(chunk: int | None, store: str | Path | None, resume: bool) -> int:

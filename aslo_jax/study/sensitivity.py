@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .. import random
 from .._extras import require
 from . import statistics
 from .statistics import Interval
@@ -38,7 +39,7 @@ def sobol_indices(
     names: Sequence[str],
     base: int,
     *,
-    seed: int = 0,
+    key: random.KeyLike | None = None,
     confidence: float = 0.95,
 ) -> list[Index]:
     """The Sobol indices of a metric with respect to the parameters `names`, the largest
@@ -48,7 +49,8 @@ def sobol_indices(
       one coordinate for each name: the quantiles of its distribution at u are the
       parameter. The same noise must be used at every point, or chance counts as a
       parameter that acts with all the others;
-    - `base`: a power of two; there are `(d + 2) base` points.
+    - `base`: a power of two; there are `(d + 2) base` points;
+    - `key`: of the points and the bootstrap, by default `jax.random.key(0)`.
 
     Parameters that are drawn together, as correlated ones are, share their variance: the
     indices are then those of the coordinates u.
@@ -60,6 +62,7 @@ def sobol_indices(
     """
     if base < 2 or base & (base - 1):
         raise ValueError(f"Argument `base` must be a power of two, but got {base}.")
+    seed = random.seed_of(key) % 2**32  # as many as SALib takes
     sample = require("SALib.sample.sobol", "study").sample
     analyze = require("SALib.analyze.sobol", "study").analyze
     d = len(names)
@@ -90,7 +93,7 @@ def slopes(
     values: Mapping[str, Float[np.ndarray, " N"]],
     deviations: Mapping[str, float],
     *,
-    seed: int = 0,
+    key: random.KeyLike | None = None,
     confidence: float = 0.95,
 ) -> list[Slope]:
     """The derivative of a metric with respect to each parameter times its deviation, over
@@ -121,8 +124,8 @@ def slopes(
     table = [
         Slope(
             name,
-            statistics.mean(row, confidence, seed),
-            statistics.rms(row, confidence, seed),
+            statistics.mean(row, confidence, key),
+            statistics.rms(row, confidence, key),
         )
         for name, row in zip(names, found, strict=True)
     ]

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .._typing import DesignName
 from ..experiment import Experiment
 from .designs import DESIGNS, Design, make_design
 from .distributions import AbstractDistribution
@@ -48,13 +49,13 @@ class Spread:
     def __init__(
         self,
         parameters: Mapping[str, Parameter | tuple[Any, AbstractDistribution]],
-        design: str = "iid",
-    ):
+        design: DesignName = "iid",
+    ) -> None:
         if design not in DESIGNS:
             allowed = " or ".join(f'"{name}"' for name in DESIGNS)
             raise ValueError(f"Argument `design` must be {allowed}, but got {design!r}.")
-        self.design = design
-        self.parameters = {
+        self.design: DesignName = design
+        self.parameters: dict[str, Parameter] = {
             name: each if isinstance(each, Parameter) else Parameter(*each)
             for name, each in parameters.items()
         }
@@ -71,7 +72,9 @@ class Sampler:
     - `names`: of the numbers drawn.
     """
 
-    def __init__(self, experiment: Experiment, spread: Spread, seed: int, samples: int):
+    def __init__(
+        self, experiment: Experiment, spread: Spread, seed: int, samples: int
+    ) -> None:
         layout = Layout(experiment)
         self.names: list[str] = []
         places: list[tuple[Place, ...]] = []

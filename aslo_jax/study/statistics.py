@@ -15,6 +15,8 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
+from .. import random
+
 # More samples than this are resampled as so many batches of consecutive ones: the bootstrap
 # then costs the same for any number of samples, and still corrects for skewness, since that
 # of a mean is the same whether or not its terms are added in batches.
@@ -57,7 +59,7 @@ class Summary(NamedTuple):
 
 
 def summarise(
-    x: Float[np.ndarray, " N"], confidence: float = 0.95, seed: int = 0
+    x: Float[np.ndarray, " N"], confidence: float = 0.95, key: random.KeyLike | None = None
 ) -> Summary:
     """All statistics of a metric `x`, the smaller the better, one value per sample."""
     x = judged(x)
@@ -71,8 +73,8 @@ def summarise(
         low=low,
         median=median,
         high=high,
-        mean=mean(x, confidence, seed),
-        rms=rms(x, confidence, seed),
+        mean=mean(x, confidence, key),
+        rms=rms(x, confidence, key),
         worst=float(ordered[-1]),
         below=(1.0 - confidence) ** (1.0 / x.size),
     )
@@ -124,9 +126,12 @@ def of_sorted(
     return Interval(float(value), float(low), float(high))
 
 
-def mean(x: Float[np.ndarray, " N"], confidence: float = 0.95, seed: int = 0) -> Interval:
+def mean(
+    x: Float[np.ndarray, " N"], confidence: float = 0.95, key: random.KeyLike | None = None
+) -> Interval:
     """The mean of `x`, and its interval by the bootstrap, bias-corrected and accelerated,
-    from random numbers that depend on `seed` only. Infinite where a sample diverged.
+    from random numbers that depend on `key` only, by default that of seed 0. Infinite
+    where a sample diverged.
 
     Source: Efron, J. Am. Stat. Assoc. 82 (1987) 171, doi:10.1080/01621459.1987.10478410.
     """
@@ -151,12 +156,14 @@ def mean(x: Float[np.ndarray, " N"], confidence: float = 0.95, seed: int = 0) ->
         n_resamples=RESAMPLES,
         batch=200,
         method="BCa",
-        rng=np.random.default_rng(seed),
+        rng=np.random.default_rng(random.seed_of(key)),
     ).confidence_interval
     return Interval(value, float(found.low), float(found.high))
 
 
-def rms(x: Float[np.ndarray, " N"], confidence: float = 0.95, seed: int = 0) -> Interval:
+def rms(
+    x: Float[np.ndarray, " N"], confidence: float = 0.95, key: random.KeyLike | None = None
+) -> Interval:
     """The root of the mean square of `x`, from the [`mean`][] of its squares: the bootstrap
     keeps its coverage under a monotone function."""
     x = judged(x)
@@ -164,7 +171,7 @@ def rms(x: Float[np.ndarray, " N"], confidence: float = 0.95, seed: int = 0) -> 
     scale = float(np.abs(x).max())
     if not np.isfinite(scale) or scale == 0.0:
         return Interval(scale, scale, scale)
-    square = mean((x / scale) ** 2, confidence, seed)
+    square = mean((x / scale) ** 2, confidence, key)
     root = (scale * float(np.sqrt(max(part, 0.0))) for part in square)
     return Interval(*root)
 

@@ -66,7 +66,7 @@ Data = Mapping[str, np.ndarray]
 class Store:
     """The Zarr group of a study at `path`, to be written chunk by chunk."""
 
-    def __init__(self, path: Path, schema: Schema):
+    def __init__(self, path: Path, schema: Schema) -> None:
         self.path, self.schema = path, schema
         zarr = require("zarr", "study")
         self._group = zarr.open_group(str(path), mode="r+", zarr_format=3)

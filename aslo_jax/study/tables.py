@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from .. import random
 from .comparison import Comparison, Place, compare, ranking
 from .statistics import Interval, Summary, proportion, summarise
 
@@ -36,7 +37,7 @@ def table(dataset: Any, name: str, confidence: float, seed: int = 0) -> Table:
         name,
         label(dataset[name]) + _entries(dataset[name]),
         "" if _scale(dataset[name]) is not None else unit(dataset[name]),
-        {o: summarise(x, confidence, seed) for o, x in values.items()},
+        {o: summarise(x, confidence, random.key(seed)) for o, x in values.items()},
         ranking(values, confidence, comparisons),
         comparisons,
         None if bound is None else float(bound),

@@ -16,3 +16,22 @@ from .chart import (
 from .descent import History as History
 from .fit import Fitted as Fitted, fit as fit
 from .stationary import stationary_variance as stationary_variance
+
+__all__ = [
+    "Calibration",
+    "Corrected",
+    "Fitted",
+    "Front",
+    "History",
+    "Surface",
+    "Undetermined",
+    "calibrate",
+    "design_chart",
+    "fit",
+    "front_chart",
+    "losses",
+    "pareto",
+    "plot_history",
+    "stationary_variance",
+    "surface",
+]

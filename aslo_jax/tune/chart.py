@@ -7,9 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .. import random
+from .._typing import PyTree
 from .coordinates import Coordinates
 from .descent import Descent, Limits, progress_bar
 from .fit import Loss, default_optimiser

@@ -4,8 +4,8 @@ import math
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import PyTree
 
+from .._typing import PyTree
 from ..engines.fused.plan import Plan
 
 

@@ -8,7 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
+
+from .._typing import PyTree, Scale
 
 Bound = tuple[float | None, float | None]
 
@@ -31,8 +33,8 @@ class Coordinates:
         tree: PyTree,
         where: Callable[[PyTree], Any],
         bounds: Bound | Sequence[Bound | None] | None,
-        scale: str | Sequence[str],
-    ):
+        scale: Scale | Sequence[Scale],
+    ) -> None:
         leaves = where(tree)
         self.single = eqx.is_array_like(leaves)
         self.leaves = [jnp.asarray(x) for x in ([leaves] if self.single else leaves)]
@@ -140,7 +142,7 @@ class Coordinates:
         """One entry for each leaf, as one for each number."""
         return np.repeat(np.asarray(each), [x.size for x in self.leaves])
 
-    def _logarithmic(self, scale: str | Sequence[str]) -> list[bool]:
+    def _logarithmic(self, scale: Scale | Sequence[Scale]) -> list[bool]:
         names = [scale] * len(self.leaves) if isinstance(scale, str) else list(scale)
         if len(names) != len(self.leaves) or set(names) - {"auto", "log", "linear"}:
             raise ValueError(

@@ -1,6 +1,6 @@
 """One descent after another with an optimiser of optax, and why each of them ended."""
 
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -8,14 +8,13 @@ import numpy as np
 from jaxtyping import Float
 
 from .._extras import require
+from .._typing import Stopped
 from .gradients import Slope, with_gradient
 
-CONVERGED, STALLED, LIMIT, NOT_FINITE = (
-    "converged",
-    "no improvement",
-    "iteration limit",
-    "not finite",
-)
+CONVERGED: Final = "converged"
+STALLED: Final = "no improvement"
+LIMIT: Final = "iteration limit"
+NOT_FINITE: Final = "not finite"
 
 
 class Limits(NamedTuple):
@@ -40,7 +39,7 @@ class History(NamedTuple):
     loss: Float[np.ndarray, " K"]
     parameters: Float[np.ndarray, "K P"]
     gradient_norm: Float[np.ndarray, " K"]
-    stopped: str
+    stopped: Stopped
 
     @property
     def best(self) -> int:
@@ -51,7 +50,7 @@ class History(NamedTuple):
 class Descent:
     """An optimiser at work on one function: compiled once, for any start and data."""
 
-    def __init__(self, slope: Slope, optimiser: Any, limits: Limits):
+    def __init__(self, slope: Slope, optimiser: Any, limits: Limits) -> None:
         import optax
 
         self.slope, self.limits = slope, limits
@@ -93,7 +92,7 @@ class Descent:
             norms.append(float(np.abs(gradient).max()))
             progress(value)
             stopped = self._stopped(losses, norms, points)
-            if stopped:
+            if stopped is not None:
                 break
             z, state = self._step(z, state, known, data, size)
             known = self._known(z, state, data, size)
@@ -109,7 +108,9 @@ class Descent:
             return self.slope(z, data)
         return kept[0] * size, kept[1] * size
 
-    def _stopped(self, losses: list[float], norms: list[float], points: list) -> str:
+    def _stopped(
+        self, losses: list[float], norms: list[float], points: list[Any]
+    ) -> Stopped | None:
         limits, value, norm = self.limits, losses[-1], norms[-1]
         if not (np.isfinite(value) and np.isfinite(norm)):
             return NOT_FINITE
@@ -125,7 +126,7 @@ class Descent:
             size = abs(before) if limits.relative else 1.0
             if not min(losses) < before - limits.improvement * size:
                 return STALLED
-        return LIMIT if k >= limits.steps else ""
+        return LIMIT if k >= limits.steps else None
 
 
 def progress_bar(total: int, shown: bool) -> Any:

@@ -7,9 +7,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
-from .. import random
+from .. import _choices, random
+from .._checks import one_of
+from .._module import Module
+from .._typing import Mode, PyTree, Scale, Stopped, UsedMode
 from .coordinates import Bound, Coordinates
 from .descent import Descent, History, Limits, progress_bar
 from .gradients import Slope, slope
@@ -21,7 +24,7 @@ FORWARD = 16
 Loss = AbstractLoss | Callable[[PyTree, random.Key], Float[Array, ""]]
 
 
-class Fitted(eqx.Module):
+class Fitted(Module):
     """What [`fit`][] returns.
 
     - `tree`: the given one with the tuned leaves;
@@ -41,17 +44,17 @@ class Fitted(eqx.Module):
     initial_loss: float
     validation: float
     initial_validation: float
-    stopped: str = eqx.field(static=True)
+    stopped: Stopped = eqx.field(static=True)
     histories: list[History]
     best: int = eqx.field(static=True)
-    mode: str = eqx.field(static=True)
+    mode: UsedMode = eqx.field(static=True)
 
     @property
     def history(self) -> History:
         """Of the best descent."""
         return self.histories[self.best]
 
-    def __str__(self):
+    def __str__(self) -> str:
         values = ", ".join(f"{x:.6g}" for x in self.parameters)
         return (
             f"{self.stopped} after {len(self.history.loss) - 1} iterations "
@@ -66,16 +69,16 @@ def fit(
     loss: Loss,
     *,
     where: Callable[[PyTree], Any],
-    key: random.Key | None = None,
+    key: random.KeyLike | None = None,
     optimiser: Any = None,
     bounds: Bound | Sequence[Bound | None] | None = None,
-    scale: str | Sequence[str] = "auto",
+    scale: Scale | Sequence[Scale] = "auto",
     starts: int = 1,
-    steps: int = 100,
+    iterations: int = 100,
     tolerance: float = 1e-4,
     improvement: float = 1e-6,
     patience: int = 10,
-    mode: str = "auto",
+    mode: Mode = "auto",
     progress: bool = False,
 ) -> Fitted:
     """Minimise `loss(tree, key)` over the leaves `where(tree)`, from the values they have.
@@ -88,7 +91,7 @@ def fit(
       the validation;
     - `where`: from the tree to a leaf or a sequence of leaves, each an array of real
       numbers: rates of filters, gains, bandwidths;
-    - `key`: of [`aslo_jax.random`][], by default that of seed 0;
+    - `key`: of the random numbers of the loss, by default `jax.random.key(0)`;
     - `optimiser`: any of optax; by default `optax.lbfgs()` with its line search, which
       needs the fewest runs (docs/tuning.md);
     - `bounds`: `(low, high)` for each leaf in turn, either of them or the pair `None` where
@@ -98,7 +101,7 @@ def fit(
       for each;
     - `starts`: of several descents, the first is from the given tree and the others from
       Sobol points within the bounds, or within a factor of ten of the start;
-    - `steps`: at most as many iterations in each descent; `tolerance`: a descent has
+    - `iterations`: at most as many in each descent; `tolerance`: a descent has
       converged where the slope of the loss in every coordinate (of a positive leaf, its
       logarithm) is below this part of the loss; `improvement`, `patience`: it ends early
       when the loss has not fallen by this part of itself in as many iterations;
@@ -115,31 +118,28 @@ def fit(
     **Raises:** `ValueError` for leaves that are not real, bounds that do not contain the
     start, or a loss that is no scalar.
     """
-    if mode not in ("auto", "forward", "reverse"):
+    one_of("mode", mode, _choices.Mode)
+    if starts < 1 or iterations < 1 or patience < 1:
         raise ValueError(
-            f'Argument `mode` must be "auto", "forward" or "reverse", but got {mode!r}.'
+            "Arguments `starts`, `iterations` and `patience` must be at least 1, but got "
+            f"{starts}, {iterations} and {patience}."
         )
-    if starts < 1 or steps < 1 or patience < 1:
-        raise ValueError(
-            "Arguments `starts`, `steps` and `patience` must be at least 1, but got "
-            f"{starts}, {steps} and {patience}."
-        )
-    key = random.key(0) if key is None else key
+    key = random.key(0) if key is None else random.as_key(key)
     coordinates = Coordinates(tree, where, bounds, scale)
     points = coordinates.starts(starts)
     mode, function = sloped(mode, loss, coordinates, key)
     descent = Descent(
         function,
         default_optimiser(optimiser),
-        Limits(steps, tolerance, improvement, patience),
+        Limits(iterations, tolerance, improvement, patience),
     )
-    advance, close = progress_bar(starts * (steps + 1), progress)
+    advance, close = progress_bar(starts * (iterations + 1), progress)
     runs = [descent.run(start, key, advance) for start in points]
     close()
     return finished(coordinates, runs, function, key, mode)
 
 
-def objective(loss: Loss, coordinates: Coordinates, mode: str):
+def objective(loss: Loss, coordinates: Coordinates, mode: UsedMode):
     """The loss as a function of the coordinates and the key."""
     if isinstance(loss, AbstractLoss) and mode == "reverse":
         loss = loss.reversible()
@@ -156,11 +156,11 @@ def objective(loss: Loss, coordinates: Coordinates, mode: str):
 
 
 def sloped(
-    mode: str, loss: Loss, coordinates: Coordinates, key: random.Key
-) -> tuple[str, Slope]:
+    mode: Mode, loss: Loss, coordinates: Coordinates, key: random.Key
+) -> tuple[UsedMode, Slope]:
     """The mode (`"auto"` no more) and the compiled loss with its gradient."""
 
-    def compiled(mode):
+    def compiled(mode: UsedMode) -> tuple[UsedMode, Slope]:
         return mode, slope(objective(loss, coordinates, mode), mode)
 
     if mode != "auto":

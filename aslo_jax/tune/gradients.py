@@ -6,11 +6,13 @@ from typing import Any
 import jax
 from jaxtyping import Array, Float
 
+from .._typing import UsedMode
+
 Objective = Callable[[Float[Array, " P"], Any], Float[Array, ""]]
 Slope = Callable[[Float[Array, " P"], Any], tuple[Float[Array, ""], Float[Array, " P"]]]
 
 
-def slope(objective: Objective, mode: str) -> Slope:
+def slope(objective: Objective, mode: UsedMode) -> Slope:
     """`objective(z, data)` with its gradient in z, compiled. Forward, all directions run
     beside one run of the values; that is the cheaper way while there are few of them."""
 

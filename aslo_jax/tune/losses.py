@@ -9,22 +9,39 @@ import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .. import random
 from .._checks import nonnegative, positive, real, whole
+from .._module import Module
 from .._replay import replay
+from .._typing import Engine, PyTree, RealArray
 from ..engines import run_batch
 from ..engines.fused.plan import Plan
 from ..experiment import Experiment, Record
 from ..metrics import AbstractMetric
+from ..metrics.base import MakeMetric, metric_of
 from ..observers import AbstractObserver
 from .checkpoints import checkpointed
+
+__all__ = [
+    "AbstractLoss",
+    "CVaR",
+    "MeanSquare",
+    "MonteCarlo",
+    "NoiseAndTransient",
+    "Recorded",
+    "Reduction",
+    "SmoothSettling",
+    "TransientAndNoise",
+    "mean",
+    "worst",
+]
 
 Reduction = Callable[[Float[Array, "N *costs"]], Float[Array, "*costs"]]
 
 
-class AbstractLoss(eqx.Module):
+class AbstractLoss(Module):
     """`loss(tree, key)`, to be minimised over leaves of the tree: the same key, the same
     random numbers."""
 
@@ -56,7 +73,7 @@ def worst(costs: Float[Array, " N"]) -> Float[Array, ""]:
     return jnp.max(costs)
 
 
-class CVaR(eqx.Module):
+class CVaR(Module):
     """The conditional value at risk: the mean of the worst `fraction` of the samples, the
     last of them counted in part.
 
@@ -65,7 +82,7 @@ class CVaR(eqx.Module):
 
     fraction: float = eqx.field(static=True)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if not 0.0 < self.fraction <= 1.0:
             raise ValueError(
                 f"Argument `fraction` must be in (0, 1], but got {self.fraction}."
@@ -94,19 +111,19 @@ class MeanSquare(AbstractMetric):
     after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
     scale: Float[Array, "*n"] = eqx.field(converter=real, default=1.0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         nonnegative("after", self.after)
         positive("scale", self.scale)
 
-    def init(self, record):
+    def init(self, record: Record) -> PyTree:
         counts = jnp.where(record.t >= self.after, 1.0, 0.0)
         return counts, counts * _square(record, self.observer, self.scale)
 
-    def update(self, state, record):
+    def update(self, state: PyTree, record: Record) -> PyTree:
         more = self.init(record)
         return state[0] + more[0], state[1] + more[1]
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         return state[1] / jnp.maximum(state[0], 1.0)
 
 
@@ -123,18 +140,18 @@ class NoiseAndTransient(AbstractMetric):
     weight: Float[Array, ""] = eqx.field(converter=real, default=1.0)
     scale: Float[Array, "*n"] = eqx.field(converter=real, default=1.0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("split", self.split, "s")
         positive("interval", self.interval, "s")
         nonnegative("weight", self.weight)
         positive("scale", self.scale)
 
-    def init(self, record):
+    def init(self, record: Record) -> PyTree:
         late = jnp.where(record.t >= self.split, 1.0, 0.0)
         square = _square(record, self.observer, self.scale)
         return late, late * square, (1.0 - late) * square
 
-    def update(self, state, record):
+    def update(self, state: PyTree, record: Record) -> PyTree:
         return tuple(a + b for a, b in zip(state, self.init(record), strict=True))
 
     def parts(self, state) -> tuple[Float[Array, ""], Float[Array, ""]]:
@@ -142,7 +159,7 @@ class NoiseAndTransient(AbstractMetric):
         count, noise, transient = state
         return noise / jnp.maximum(count, 1.0), self.interval * transient
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         noise, transient = self.parts(state)
         return noise + self.weight * transient
 
@@ -160,13 +177,13 @@ class TransientAndNoise(AbstractMetric):
     def _weighted(self) -> NoiseAndTransient:
         return NoiseAndTransient(self.observer, self.split, self.interval, scale=self.scale)
 
-    def init(self, record):
+    def init(self, record: Record) -> PyTree:
         return self._weighted().init(record)
 
-    def update(self, state, record):
+    def update(self, state: PyTree, record: Record) -> PyTree:
         return self._weighted().update(state, record)
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         noise, transient = self._weighted().parts(state)
         return jnp.stack([transient, noise])
 
@@ -186,22 +203,22 @@ class SmoothSettling(AbstractMetric):
     interval: Float[Array, ""] = eqx.field(converter=real)
     width: Float[Array, ""] = eqx.field(converter=real, default=0.2)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("tolerance", self.tolerance)
         positive("interval", self.interval, "s")
         positive("width", self.width)
 
-    def init(self, record):
+    def init(self, record: Record) -> PyTree:
         # (|e|/tolerance)^(1/width) over one more than that, without a logarithm of zero.
         ratio = _square(record, self.observer, self.tolerance)
         tiny = jnp.finfo(ratio.dtype).tiny
         outside = jnp.log(ratio + tiny) / (2.0 * self.width)
         return self.interval / (1.0 + jnp.exp(-outside))
 
-    def update(self, state, record):
+    def update(self, state: PyTree, record: Record) -> PyTree:
         return state + self.init(record)
 
-    def result(self, state):
+    def result(self, state: PyTree) -> PyTree:
         return state
 
 
@@ -217,8 +234,9 @@ class MonteCarlo(AbstractLoss):
 
     - `place(tree, sample)`: the experiment of one sample; the tree is that given to
       [`fit`][], an experiment, say, or a dictionary of gains;
-    - `metric`: a scalar of one experiment, as [`MeanSquare`][];
-    - `samples`: how many; `steps`: of each, in time;
+    - `metric`: a scalar of one experiment, as [`MeanSquare`][]: an instance, or a class or
+      any `metric(observer)` where the experiment has one observer;
+    - `samples`: how many; `steps`: the intervals of each;
     - `draw(key)`: one sample from its key, by default the key itself;
     - `reduce`: [`mean`][], [`worst`][], a [`CVaR`][], or any function of the costs of all
       samples, shape `(N,)`;
@@ -227,24 +245,24 @@ class MonteCarlo(AbstractLoss):
     Sample k has the key `fold(key, k)`, so fits with the same key see the same samples.
     """
 
-    place: Callable[[PyTree, PyTree], Experiment]
-    metric: AbstractMetric
+    place: Callable[[PyTree, PyTree], Experiment[Any]]
+    metric: MakeMetric
     samples: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     draw: Callable[[random.Key], PyTree] = _itself
     reduce: Reduction = mean
-    engine: str = eqx.field(static=True, default="auto")
+    engine: Engine = eqx.field(static=True, default="auto")
     threads: int | None = eqx.field(static=True, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         whole("samples", self.samples)
         whole("steps", self.steps)
 
-    def __call__(self, tree, key):
+    def __call__(self, tree: PyTree, key: random.Key) -> RealArray:
         return self.reduce(self.costs(tree, key))
 
     @property
-    def most_forward(self):
+    def most_forward(self) -> int:
         # A scan, which is what reverse derivatives need, takes as long as the tangents of
         # some hundred directions in the fused engine.
         return 256
@@ -263,7 +281,7 @@ class MonteCarlo(AbstractLoss):
         def make(sample):
             return self.place(eqx.combine(sample[0], known), sample[1])
 
-        metrics, samples = {"cost": self.metric}, (shared, drawn)
+        metrics, samples = {"cost": self._metric(tree, key)}, (shared, drawn)
         if self.engine == "checkpointed":
             plan = Plan(make, metrics, None)
             return checkpointed(plan, samples, self.steps)["cost"]
@@ -277,7 +295,19 @@ class MonteCarlo(AbstractLoss):
         )
         return batch.metrics["cost"]
 
-    def reversible(self):
+    def _metric(self, tree: PyTree, key: random.Key) -> AbstractMetric:
+        if isinstance(self.metric, AbstractMetric):
+            return self.metric
+        one = lambda tree, key: self.place(tree, self.draw(key))
+        observers = list(eqx.filter_eval_shape(one, tree, key).observers)
+        if len(observers) != 1:
+            raise ValueError(
+                "Argument `metric` must be an instance that names its observer where an "
+                f"experiment has several, but this one has {observers}."
+            )
+        return metric_of(self.metric, observers[0])
+
+    def reversible(self) -> "AbstractLoss":
         return dataclasses.replace(self, engine="checkpointed")
 
 
@@ -296,10 +326,10 @@ class Recorded(AbstractLoss):
     substeps: int = eqx.field(static=True, default=1)
     place: Callable[[PyTree], AbstractObserver] = lambda observer: observer
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("scale", self.scale)
 
-    def __call__(self, tree, key):
+    def __call__(self, tree: PyTree, key: random.Key) -> RealArray:
         del key
         observer = self.place(tree)
         value = replay(observer, self.t, self.u, self.y, substeps=self.substeps).value
@@ -309,8 +339,8 @@ class Recorded(AbstractLoss):
         return jnp.sum(square) / jnp.maximum(jnp.sum(counts), 1)
 
     @property
-    def most_forward(self):
+    def most_forward(self) -> int:
         return 16
 
-    def reversible(self):
+    def reversible(self) -> "AbstractLoss":
         return self

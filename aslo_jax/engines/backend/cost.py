@@ -46,7 +46,7 @@ class _Pipeline:
     """A processor that begins some events a cycle, in their order, and none before the one
     so many back has ended; each when what it needs is there, and a port is free."""
 
-    def __init__(self, loop: Loop, target: Target):
+    def __init__(self, loop: Loop, target: Target) -> None:
         self.loop, self.target = loop, target
         self.multiplying: dict[int, int] = collections.defaultdict(int)
         self.loading: dict[int, int] = collections.defaultdict(int)

@@ -46,7 +46,7 @@ def ordered(graph: Nodes, numbers: Iterable[int]) -> list[int]:
 
 
 class _Schedule:
-    def __init__(self, graph: Nodes, numbers: list[int]):
+    def __init__(self, graph: Nodes, numbers: list[int]) -> None:
         self.graph, self.numbers = graph, numbers
         inside = set(numbers)
         self.done: dict[int, int] = {}  # when a result is there

@@ -39,7 +39,7 @@ class Body:
     - `nodes`: operations by number, those of the graph or of what is left of it.
     """
 
-    def __init__(self, loop: Loop):
+    def __init__(self, loop: Loop) -> None:
         self.loop, graph = loop, loop.graph
         self.nodes = graph.nodes
         self.varies = varying(graph, loop.needed())
@@ -142,7 +142,9 @@ class Step:
     `order`. The instruction `group` with the result `Part(-1, k)` is the k-th group of the
     body."""
 
-    def __init__(self, body: Body, width: int, target: Target, order: int | None = None):
+    def __init__(
+        self, body: Body, width: int, target: Target, order: int | None = None
+    ) -> None:
         self.body, self.width, self.target = body, width, target
         self._counts: dict[int, int] = {}
         self._order = order

@@ -11,9 +11,9 @@ import jax
 import jax.extend.core as jex
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
 
 from ..._checks import is_concrete
+from ..._typing import PyTree
 from ..ir.graph import NUMBERS, Graph
 from .elementwise import ELEMENTWISE, Unsupported
 from .functions import FUNCTIONS, applies_function
@@ -80,7 +80,7 @@ def _closed(graph: Graph, closed: Any, inputs: list[Value]) -> list[Value]:
         raise NotFusible(
             "The fused engine cannot compile a function that closes over a value which is "
             "being traced (by jit, vmap or a derivative around it): hand it over in "
-            '`samples`, one for each, or use engine="scan".'
+            '`parameters`, one for each, or use engine="scan".'
         )
     typed = [c for c in closed.consts if hasattr(c, "dtype") and _is_extended(c.dtype)]
     check_numbers(typed, "a constant that a function closes over has")

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import PyTree
 
 from ..._checks import is_concrete
+from ..._typing import PyTree
 from ..runtime.host import widths
 from .forward_only import forward_only, second
 from .plan import Batch, Plan
@@ -35,7 +35,7 @@ class Fused:
         every: int,
         threads: int | None,
         otherwise: Callable[[Exception, PyTree], Batch] | None = None,
-    ):
+    ) -> None:
         self.plan, self.steps, self.every, self.threads = plan, steps, every, threads
         self.otherwise = otherwise
         self.sample, self.tree = jax.tree.flatten(like)

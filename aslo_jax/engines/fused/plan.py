@@ -3,17 +3,16 @@
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
-from jaxtyping import PyTree
-
+from ..._module import Module
+from ..._typing import PyTree
 from ...experiment import Experiment, Record
 from ...metrics import AbstractMetric
 
 
-class Batch(eqx.Module):
+class Batch(Module):
     """The results of `N` experiments, every leaf with a leading axis of length N.
 
-    - `metrics`: by name;
+    - `metrics`: by name, and then by observer where a metric was asked for of each;
     - `record`: what was asked to be recorded, with a second axis of `steps // every + 1`
       samples, the first at t = 0; `None` where nothing was.
     """
@@ -22,13 +21,13 @@ class Batch(eqx.Module):
     record: PyTree
 
 
-class Plan(eqx.Module):
+class Plan(Module):
     """The loop of one sample: its state is the experiment's carry and that of the metrics,
     its output what is kept of a record."""
 
-    make: Callable[[PyTree], Experiment]
+    make: Callable[[PyTree], Experiment[Any]]
     metrics: dict[str, AbstractMetric]
-    record: Callable[[Record], PyTree] | None
+    record: Callable[[Record[Any]], PyTree] | None
 
     def first(self, sample: PyTree) -> tuple[PyTree, PyTree]:
         state, kept, _ = self.begun(sample)
@@ -60,5 +59,5 @@ class Plan(eqx.Module):
         _, metrics = state
         return {name: m.result(metrics[name]) for name, m in self.metrics.items()}
 
-    def _kept(self, record: Record) -> PyTree:
+    def _kept(self, record: Record[Any]) -> PyTree:
         return None if self.record is None else self.record(record)

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import PyTree
 
+from ..._typing import PyTree
 from ..backend.step import Body, Step, chosen
 from ..backend.target import Target
 from ..frontend.lower import NotFusible, check_numbers, flatten
@@ -124,7 +124,7 @@ def constant_in_time(inputs: dict[str, PyTree]) -> dict[str, PyTree]:
 class Inputs:
     """A graph of inputs only, and the nodes of each of their leaves."""
 
-    def __init__(self, carry: PyTree, inputs: dict[str, PyTree]):
+    def __init__(self, carry: PyTree, inputs: dict[str, PyTree]) -> None:
         self.graph = Graph()
         step = self.graph.input(np.int64, ("step", 0))
         self.step = np.asarray(self.graph.convert(step, _step().dtype))
@@ -162,7 +162,7 @@ class Program:
         *,
         target: Target | None = None,
         without: Collection[str] = (),
-    ):
+    ) -> None:
         self.raw = loop
         self.record, self.final = record, final
         self.widths, self.target, self.without = widths, target, without

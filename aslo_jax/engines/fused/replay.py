@@ -8,9 +8,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PyTree
+from jaxtyping import Array
 
 from ..._checks import is_concrete
+from ..._typing import PyTree
 from ...observers import AbstractObserver, ObserverState
 from ..runtime.host import widths
 from .program import Bodies, Program
@@ -21,7 +22,7 @@ ONE = 2
 
 
 def replay_fused(
-    observer: AbstractObserver,
+    observer: AbstractObserver[Any],
     state: ObserverState,
     u: PyTree,
     y: PyTree,
@@ -54,7 +55,7 @@ class _Replay:
 
     def __init__(
         self, rest: PyTree, tree: Any, ranks: list[int], substeps: int, coasts: bool
-    ):
+    ) -> None:
         self.rest, self.tree, self.ranks, self.substeps = rest, tree, ranks, substeps
         self.coasts = coasts
 

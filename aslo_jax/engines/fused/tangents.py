@@ -6,8 +6,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
 
+from ..._typing import PyTree
 from ..frontend.lower import flatten
 from ..ir.activity import depends
 from ..ir.loop import Loop
@@ -27,7 +27,7 @@ class Derivative:
         sample: list[jax.ShapeDtypeStruct],
         values: Program,
         moved: list[int],
-    ):
+    ) -> None:
         self.plan, self.made, self.sample, self.moved = plan, made, sample, moved
         state = jax.eval_shape(lambda leaves: plan.first(made(leaves))[0], sample)
         self.state_leaves, self.state_tree = jax.tree.flatten(state)

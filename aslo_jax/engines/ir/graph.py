@@ -55,7 +55,7 @@ COMMUTES = {"add", "mul", "and", "or", "xor", "eq", "ne"}
 class Graph:
     """Nodes by number, in an order in which every node follows its arguments."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.nodes: list[Node] = []
         self.branches: dict[int, None] = {}  # conditions that were branches in the source
         self._numbers: dict[Any, int] = {}

@@ -24,7 +24,7 @@ class Groups:
     An entry that does not change over time is filled in once, by `fill`: before all lanes,
     or for each block of them. `operand` gives the names of nodes, as vectors or not."""
 
-    def __init__(self, layout: Layout, operand: Callable[[int, bool], str]):
+    def __init__(self, layout: Layout, operand: Callable[[int, bool], str]) -> None:
         self.layout, self.out, self.operand = layout, layout.out, operand
         self.graph, self.varies = layout.graph, layout.varies
         self.definitions: list[str] = []

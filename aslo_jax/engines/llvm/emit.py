@@ -44,7 +44,7 @@ def emit(step: Step) -> Emitted:
 
 
 class _Kernel:
-    def __init__(self, step: Step):
+    def __init__(self, step: Step) -> None:
         self.layout = Layout(step)
         self.values = values = Values(self.layout)
         self.out, self.groups = self.layout.out, values.groups

@@ -20,7 +20,7 @@ POINTERS = 6
 class Layout:
     """Places in the frame, and the instructions that read and write them."""
 
-    def __init__(self, step: Step):
+    def __init__(self, step: Step) -> None:
         self.out = Writer(step.width, exact=len(step.ways) > 1)
         self.step, self.body, self.register = step, step.body, step.target.register
         self.loop, self.graph = step.body.loop, step.body.loop.graph

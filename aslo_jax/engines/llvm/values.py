@@ -17,7 +17,7 @@ class Values:
     """By the numbers of their nodes, `scalars` and `vectors`; the `pointers` to inputs and
     results by their slots."""
 
-    def __init__(self, layout: Layout):
+    def __init__(self, layout: Layout) -> None:
         self.layout, self.out = layout, layout.out
         self.graph, self.varies = layout.graph, layout.varies
         self.pointers: dict[Slot, str] = {}

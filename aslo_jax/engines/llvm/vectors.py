@@ -14,7 +14,7 @@ class Vectors:
     """Of one way of a step, as parts in registers. `leaving`: where those are in the frame
     that its record needs."""
 
-    def __init__(self, values: Values, way: Way):
+    def __init__(self, values: Values, way: Way) -> None:
         self.values, self.way, self.made = values, way, way.made
         self.layout, self.out, self.graph = values.layout, values.out, values.graph
         self.parts: dict[Part, str] = {}

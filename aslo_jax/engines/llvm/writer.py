@@ -43,7 +43,7 @@ class Writer:
     """The lines of a function, and the instructions that they are made of; `exact` where
     LLVM may change none, whoever else needs its result."""
 
-    def __init__(self, width: int, exact: bool = False):
+    def __init__(self, width: int, exact: bool = False) -> None:
         self.width, self.flags = width, "" if exact else FLAGS
         self.lines: list[str] = []
         self.block = "entry"

@@ -66,7 +66,7 @@ class _Factored:
 
     def __init__(
         self, loop: Loop, factors: dict[int, int], scaled: Collection[tuple[int, int]]
-    ):
+    ) -> None:
         self.old, self.graph, self.factors = loop, loop.graph, factors
         self.terms = Terms(loop, factors, scaled)
 

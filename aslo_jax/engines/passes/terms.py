@@ -52,7 +52,7 @@ class Terms:
         loop: Loop,
         factors: dict[int, int],
         scaled: Collection[Scaled],
-    ):
+    ) -> None:
         self.old, self.graph = loop, loop.graph
         self.factors, self.scaled = factors, scaled
         self.numbers = self.graph.reachable(moving_roots(loop))

@@ -5,7 +5,8 @@ from collections.abc import Callable
 
 import jax
 import numpy as np
-from jaxtyping import PyTree
+
+from ..._typing import PyTree
 
 
 def stored(dtype: np.dtype) -> np.dtype:

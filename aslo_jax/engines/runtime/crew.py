@@ -13,7 +13,7 @@ class Crew:
     """As many threads as there is work for. Each leaves after a while without, or after a
     piece of work that returns False."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:

@@ -17,7 +17,7 @@ SMALL, BRIEF = 1e-3, 5e-2
 
 
 class Kernel:
-    def __init__(self, step: Step):
+    def __init__(self, step: Step) -> None:
         self.loop, self.width = step.body.loop, step.width
         self._once = len(self.loop.needed())
         self._each = max(len(way.events) for way in step.ways)

@@ -24,7 +24,9 @@ class Run:
     and not before it leaves foreign code. What the threads read and write lives as long as
     they hold `work`."""
 
-    def __init__(self, work: Callable[[Span, int], None], spans: list[Span], steps: int):
+    def __init__(
+        self, work: Callable[[Span, int], None], spans: list[Span], steps: int
+    ) -> None:
         self._work, self._left = work, collections.deque(spans)
         self._limit = ctypes.c_int64(steps)
         self._errors: list[BaseException] = []

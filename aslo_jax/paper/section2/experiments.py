@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 
 from ... import filters, random
 from ..._simulate import Simulation, simulate
+from ..._typing import FilterStart
 from ...completions import Repeat
 from ...disturbances import AbstractMemoryless, ParasiticLag, SampledNoise
 from ...filters import AbstractFilter, LowPass
@@ -47,20 +48,24 @@ LAGS = (0.05, 0.2, 0.5, 1.0)  # tau of figure 3 (s)
 FREQUENCY = 0.02  # of u = cos(0.02 t) (rad/s)
 
 
-def aslo(rate: Array | float, start: str = "paper", order: int = 2) -> AlgebraicObserver:
+def aslo(
+    rate: Array | float, start: FilterStart = "paper", order: int = 2
+) -> AlgebraicObserver:
     """The ASLO of Prop. 1 (and O3) with lambda = `rate` (rad/s)."""
     return filtered(LowPass(rate), start, order)
 
 
 def filtered(
-    filter: AbstractFilter, start: str = "paper", order: int = 2
+    filter: AbstractFilter, start: FilterStart = "paper", order: int = 2
 ) -> AlgebraicObserver:
     """The ASLO of a chain of `order` integrators, with any filter."""
     relation = IntegratorChain(order).relation()
     return AlgebraicObserver(relation, filter, Repeat(), guard=None, start=start)
 
 
-def a_aslo(rate: Array | float, gain: Array | float, start: str = "paper") -> Asymptotic:
+def a_aslo(
+    rate: Array | float, gain: Array | float, start: FilterStart = "paper"
+) -> Asymptotic:
     """The A-ASLO of Cor. 1 with lambda = `rate` and gamma = `gain` (rad/s), from zero."""
     return Asymptotic(aslo(rate, start), gain, initial=jnp.zeros(1))
 

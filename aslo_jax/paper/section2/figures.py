@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
+from ..._text import symbol
 from ...plot._figure import Figure
 from ...plot._style import BLACK, STYLES
-from ...plot._text import symbol
 from ..linear import realisation
 from . import experiments as s
 from .systems import V, W, kalman_variance, printed_variance, variances

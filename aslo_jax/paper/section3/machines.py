@@ -1,6 +1,6 @@
 """The experiments of sections 3.2 and 3.3: the other machines."""
 
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import diffrax
 import jax
@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._choices import Winding
 from ..._simulate import Simulation, simulate
 from ...completions import LeastSquares
 from ...filters import LowPass
@@ -17,7 +18,7 @@ from . import settings as s
 from .pmsm import tight
 from .prescribed import PrescribedBearing, PrescribedMachine
 
-WINDINGS = {"stator": slice(0, 2), "rotor": slice(2, 4)}
+WINDINGS: dict[str, slice] = {"stator": slice(0, 2), "rotor": slice(2, 4)}
 DEPTHS = np.linspace(0.0, 1.0, 11)  # of the modulation, relative to 30 % of the amplitudes
 RATIOS = np.linspace(1.0, 3.0, 9)  # Lq/Ld
 ANGLES = np.arange(24) * 2 * np.pi / 24  # of the current from the d axis (rad)
@@ -51,7 +52,7 @@ def shorted_rotor(printed: s.Printed) -> Simulation:
     """Shorted slip rings under the modulated supply, not from rest: without current at the
     start the paper's start has no transient. Estimates of either winding, by name."""
     machine, observers = wrim(), {}
-    for winding in WINDINGS:
+    for winding in get_args(Winding):
         relation = machine.flux_relation(winding)
         observers |= {
             f"{winding}, ASLO": printed.aslo(relation),

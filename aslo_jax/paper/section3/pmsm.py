@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from ... import random
 from ..._replay import replay
 from ..._simulate import Simulation, simulate
+from ..._typing import FilterStart
 from ...completions import LeastSquares
 from ...control import FieldOriented, MotorFeedback
 from ...disturbances import SampledNoise
@@ -45,7 +46,7 @@ class Determinant(AbstractObserver):
     """Prop. 2's `Delta` (A^2) and the integral of its square (A^4 s), as a state."""
 
     relation: FluxRelation
-    start: str
+    start: FilterStart
 
     def equations(self, F: Pass, u: Array, y: Array) -> Estimate:
         F = F.using(LowPass(s.RATE), self.start)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._typing import FilterStart, Winding
 from ...completions import AbstractCompletion, Repeat
 from ...filters import LowPass
 from ...guard import Guard
@@ -55,7 +56,7 @@ def reversing(t: Float[Array, ""]) -> Float[Array, ""]:
 def aslo(
     relation: Relation,
     rate: float = RATE,
-    start: str = "paper",
+    start: FilterStart = "paper",
     completion: AbstractCompletion | None = None,
     threshold: float | None = None,
 ) -> AlgebraicObserver:
@@ -72,7 +73,7 @@ def a_aslo(
     relation: Relation,
     gain: float = GAIN,
     rate: float = RATE,
-    start: str = "paper",
+    start: FilterStart = "paper",
     completion: AbstractCompletion | None = None,
     initial: Float[np.ndarray, " n"] | None = None,
 ) -> Asymptotic:
@@ -93,12 +94,12 @@ def fo2(relation: FluxRelation, gain: float = GAIN) -> FO2:
     return FO2(relation, gain)
 
 
-def fo3(relation: FluxRelation, gain: float = GAIN, start: str = "paper") -> FO3:
+def fo3(relation: FluxRelation, gain: float = GAIN, start: FilterStart = "paper") -> FO3:
     """FO3 as printed."""
     return FO3(relation, LowPass(RATE), gain, start)
 
 
-def printed_winding(machine: WRIM, winding: str) -> WindingFluxRelation:
+def printed_winding(machine: WRIM, winding: Winding) -> WindingFluxRelation:
     """The relation of Prop. 3, with L_s for both windings."""
     right = machine.flux_relation(winding)
     return WindingFluxRelation(
@@ -125,5 +126,5 @@ class Printed(NamedTuple):
     fo1: Callable[..., FO1] = fo1
     fo2: Callable[..., FO2] = fo2
     fo3: Callable[..., FO3] = fo3
-    winding: Callable[[WRIM, str], WindingFluxRelation] = printed_winding
+    winding: Callable[[WRIM, Winding], WindingFluxRelation] = printed_winding
     angle: Callable[..., np.ndarray] = printed_angle

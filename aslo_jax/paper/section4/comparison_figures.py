@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from ..._text import symbol
 from ...plot._figure import Figure
 from ...plot._style import STYLES
-from ...plot._text import symbol
 from .comparison_claims import best_differentiator
 from .figures import TIME, key
 from .records import INSTANTS

@@ -3,9 +3,9 @@
 import numpy as np
 
 from ..._simulate import Simulation
+from ..._text import symbol
 from ...plot._figure import Figure
 from ...plot._style import STYLES
-from ...plot._text import symbol
 from . import loops, settings as s
 from .runs import Runs
 

@@ -1,6 +1,7 @@
 """The leg and the ball and beam in closed loop, in continuous time: the identities."""
 
 from collections.abc import Callable
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -59,7 +60,7 @@ def _asymptotic(printed: s.Printed, system, proposition: AbstractObserver):
     return {k: printed.a_aslo(observer, system, s.GAINS) for k, observer in each.items()}
 
 
-def _named(run: Simulation, proposition: str) -> Simulation:
+def _named(run: Simulation[Any], proposition: str) -> Simulation:
     """The run with an estimate for each observer and gain, by name."""
     found = dict(run.estimates)
     for start, name in (("paper", proposition), ("exact", "ASLO, exact")):
@@ -123,7 +124,7 @@ def friction(printed: s.Printed) -> tuple[Simulation, Simulation]:
 
 def error(run: Simulation, name: str) -> np.ndarray:
     """Estimate less truth, shape (N, n)."""
-    return run.estimates[name].value - run.hidden
+    return np.asarray(run.estimates[name].value - run.hidden)
 
 
 def size(run: Simulation, name: str) -> np.ndarray:

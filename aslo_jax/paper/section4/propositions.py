@@ -2,9 +2,10 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from ..._checks import real
+from ..._typing import PyTree
 from ...filters import LowPass
 from ...observers import AbstractObserver, Estimate
 from ...plants import AbstractMechanicalSystem, BallBeam, RoboticLeg
@@ -74,7 +75,7 @@ class Proposition5(AbstractObserver):
         return _estimate(jnp.stack([rate1, rate2]))
 
 
-class VelocityAsymptotic(AbstractObserver):
+class VelocityAsymptotic(AbstractObserver[dict[str, Estimate]]):
     """P2 of Props 4 and 5: `v' = a(q, v_algebraic, u) - gain (v - v_algebraic)` from zero,
     the model's acceleration a at the algebraic velocities, for each of `gains` (rad/s),
     shape `(k,)`: a dictionary of the algebraic estimate, `ASLO`, shape `(n,)`, and these,

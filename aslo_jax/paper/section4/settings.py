@@ -1,7 +1,7 @@
 """The settings of the paper's section 4, and the observers that its claims are about."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._checks import real
+from ..._typing import FilterStart
 from ...control import AbstractController
 from ...control.tracking import BallBeamTracking, MechanicalFeedback, Tracking
 from ...filters import LowPass
@@ -138,14 +139,14 @@ def leg_with_friction(weight: Float[Array, ""] | float) -> MechanicalSystem:
     )
 
 
-def aslo(system: AbstractMechanicalSystem, start: str = "exact", **settings):
+def aslo(system: AbstractMechanicalSystem, start: FilterStart = "exact", **settings):
     """The library's ASLO of all velocities, lambda = 5 rad/s."""
     return velocity_observer(system, LowPass(RATE), start=start, **settings)
 
 
 def a_aslo(
     observer: AbstractObserver, system: AbstractMechanicalSystem, gains: tuple[float, ...]
-) -> AbstractObserver:
+) -> AbstractObserver[Any]:
     """P2 of Props 4 and 5 on an ASLO, for each of `gains` (rad/s)."""
     return VelocityAsymptotic(observer, system, jnp.array(gains))
 

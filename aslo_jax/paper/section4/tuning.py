@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._replay import replay
+from ..._typing import FilterStart
 from ...completions import Repeat
 from ...filters import AbstractFilter, LowPass, second_order
 from ...observers import (
@@ -61,7 +62,9 @@ class Contender(NamedTuple):
 
 
 def _algebraic(
-    filter: Callable[..., AbstractFilter], smoothed: bool = False, start: str = "exact"
+    filter: Callable[..., AbstractFilter],
+    smoothed: bool = False,
+    start: FilterStart = "exact",
 ) -> Make:
     def make(gains, system, form, y):
         parts = []

@@ -38,3 +38,11 @@ from .file import (
     configure as configure,
     read_configuration as read_configuration,
 )
+
+__all__ = [
+    "NAMES",
+    "Configuration",
+    "ConfigurationError",
+    "configure",
+    "read_configuration",
+]

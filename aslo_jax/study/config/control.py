@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import equinox as eqx
 from pydantic import Field
 
+from ..._module import Module
 from ...control import (
     AbstractController,
     BallBeamTracking,
@@ -21,7 +22,7 @@ from ...control import (
 from ...schema import Positive, Signal, Table, WaveTable, key
 
 
-class MotorEncoder(eqx.Module):
+class MotorEncoder(Module):
     """The measured current with the true angle and speed."""
 
     pole_pairs: int = eqx.field(static=True)
@@ -31,7 +32,7 @@ class MotorEncoder(eqx.Module):
         return MotorFeedback(y, self.pole_pairs * x.angle, x.speed)
 
 
-class TrueMotion(eqx.Module):
+class TrueMotion(Module):
     """The true positions and velocities."""
 
     def __call__(self, y: Any, x: Any, estimates: dict[str, Any]) -> MechanicalFeedback:
@@ -39,7 +40,7 @@ class TrueMotion(eqx.Module):
         return MechanicalFeedback(x.position, x.velocity)
 
 
-class PositionSensor(eqx.Module):
+class PositionSensor(Module):
     """The measured currents with the true fluxes, position and velocity."""
 
     def __call__(self, y: Any, x: Any, estimates: dict[str, Any]) -> BearingFeedback:

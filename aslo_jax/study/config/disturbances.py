@@ -35,7 +35,7 @@ class NoiseTable(AbstractDisturbanceTable):
     kind: Literal["noise"] = key("the kind of disturbance")
     deviation: Several = key("standard deviation per sample", allowed=SEVERAL)
 
-    def build(self, interval, stream):
+    def build(self, interval: float, stream: int) -> AbstractDisturbance:
         deviation = jnp.asarray(self.deviation, float)
         return disturbances.SampledNoise(deviation, interval, random.key(0), stream)
 
@@ -46,7 +46,7 @@ class BiasTable(AbstractDisturbanceTable):
     kind: Literal["bias"] = key("the kind of disturbance")
     offset: Numbers = key("what is added")
 
-    def build(self, interval, stream):
+    def build(self, interval: float, stream: int) -> AbstractDisturbance:
         return disturbances.Bias(jnp.asarray(self.offset, float))
 
 
@@ -56,7 +56,7 @@ class DriftTable(AbstractDisturbanceTable):
     kind: Literal["drift"] = key("the kind of disturbance")
     rate: Numbers = key("what is added in every second")
 
-    def build(self, interval, stream):
+    def build(self, interval: float, stream: int) -> AbstractDisturbance:
         return disturbances.Drift(jnp.asarray(self.rate, float))
 
 
@@ -68,7 +68,7 @@ class SinusoidTable(AbstractDisturbanceTable):
     frequency: Numbers = key("frequency", "rad/s")
     phase: Numbers = key("phase", "rad", default=0.0)
 
-    def build(self, interval, stream):
+    def build(self, interval: float, stream: int) -> AbstractDisturbance:
         values = (self.amplitude, self.frequency, self.phase)
         return disturbances.Sinusoid(*(jnp.asarray(x, float) for x in values))
 
@@ -79,7 +79,7 @@ class GainTable(AbstractDisturbanceTable):
     kind: Literal["gain"] = key("the kind of disturbance")
     error: Numbers = key("relative error, 0.01 for 1 % too much")
 
-    def build(self, interval, stream):
+    def build(self, interval: float, stream: int) -> AbstractDisturbance:
         return disturbances.GainError(jnp.asarray(self.error, float))
 
 
@@ -91,7 +91,7 @@ class QuantisationTable(AbstractDisturbanceTable):
         "its steps", allowed="a positive finite number, or one for each entry"
     )
 
-    def build(self, interval, stream):
+    def build(self, interval: float, stream: int) -> AbstractDisturbance:
         return disturbances.Quantisation(jnp.asarray(self.step, float))
 
 
@@ -108,7 +108,7 @@ class EncoderTable(AbstractDisturbanceTable):
 
     places = ("sensor",)
 
-    def build(self, interval, stream):
+    def build(self, interval: float, stream: int) -> AbstractDisturbance:
         resolution = np.asarray(self.ranges, float) / 2.0**self.bits
         return disturbances.Encoder(jnp.asarray(resolution), tuple(self.angles))
 
@@ -120,7 +120,7 @@ class DelayTable(AbstractDisturbanceTable):
     delay: NonNegative = key("in samples")
     longest: Whole | None = key("the most that a spread gives, in samples", default=None)
 
-    def build(self, interval, stream):
+    def build(self, interval: float, stream: int) -> AbstractDisturbance:
         return disturbances.Delay(self.delay, self.longest)
 
 
@@ -132,7 +132,7 @@ class LagTable(AbstractDisturbanceTable):
 
     places = ("actuator",)
 
-    def build(self, interval, stream):
+    def build(self, interval: float, stream: int) -> AbstractDisturbance:
         return disturbances.ParasiticLag(self.tau)
 
 
@@ -143,7 +143,7 @@ class SaturationTable(AbstractDisturbanceTable):
     lower: Numbers = key("the least value")
     upper: Numbers = key("the largest value")
 
-    def build(self, interval, stream):
+    def build(self, interval: float, stream: int) -> AbstractDisturbance:
         limits = (self.lower, self.upper)
         return disturbances.Saturation(*(jnp.asarray(x, float) for x in limits))
 
@@ -157,7 +157,7 @@ class DeadTimeTable(AbstractDisturbanceTable):
 
     places = ("actuator",)
 
-    def build(self, interval, stream):
+    def build(self, interval: float, stream: int) -> AbstractDisturbance:
         return disturbances.DeadTime(self.voltage, self.threshold)
 
 
@@ -169,7 +169,7 @@ class MissingTable(AbstractDisturbanceTable):
 
     places = ("sensor", "input_sensor")
 
-    def build(self, interval, stream):
+    def build(self, interval: float, stream: int) -> AbstractDisturbance:
         return disturbances.MissingSamples(self.probability, random.key(0), stream)
 
 

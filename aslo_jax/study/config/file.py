@@ -15,8 +15,8 @@ from pydantic import Field, ValidationError, create_model
 from ..._studies import NAMES
 from ...experiment import Experiment
 from ...machines import Study, studies
+from ...metrics.base import MakeMetric
 from ...schema import Positive, Table, Whole, explain, key, read_toml
-from ..problem import MakeMetric
 from ..spread import Spread
 from .control import Control
 from .disturbances import Disturbance, chained
@@ -78,7 +78,7 @@ def _study_table(kinds: tuple[Study, ...]) -> type[AbstractStudyTable]:
 @dataclasses.dataclass(frozen=True)
 class Configuration:
     """What a file describes, ready for [`run`][]:
-    `run(c.experiment, c.spread, samples=..., seed=..., **c.settings)`.
+    `run(c.experiment, c.spread, samples=..., key=..., **c.settings)`.
 
     - `experiment`, `spread`, `metrics`, `steps`, `every`, `scale`, `units`, `entries`: as
       there; `title`;

@@ -7,8 +7,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from ... import metrics
+from ...metrics.base import MakeMetric
 from ...schema import NonNegative, Positive, Table, key
-from ..problem import MakeMetric
 
 
 class AbstractMetricTable(Table, abc.ABC):
@@ -51,10 +51,10 @@ class RMSTable(AbstractErrorTable):
 
     kind: Literal["rms"] = key("the kind of metric")
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         return functools.partial(metrics.RMSError, **self.settings())
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return _joined(units)
 
 
@@ -63,10 +63,10 @@ class PeakTable(AbstractErrorTable):
 
     kind: Literal["peak"] = key("the kind of metric")
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         return functools.partial(metrics.PeakError, **self.settings())
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return _joined(units)
 
 
@@ -75,10 +75,10 @@ class IntegralTable(AbstractErrorTable):
 
     kind: Literal["integral_squared"] = key("the kind of metric")
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         return functools.partial(metrics.IntegralSquaredError, **self.settings())
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return _joined(tuple(f"({unit})^2 s" for unit in units))
 
 
@@ -88,10 +88,10 @@ class FinalTable(AbstractMetricTable):
     kind: Literal["final"] = key("the kind of metric")
     norm: bool = key("of the whole error, not of each entry", default=False)
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         return functools.partial(metrics.FinalError, **_norm(self.norm))
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return _joined(units)
 
 
@@ -101,10 +101,10 @@ class SettlingTable(AbstractMetricTable):
     kind: Literal["settling"] = key("the kind of metric")
     tolerance: Positive = key("of the norm of the error, in its units")
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         return functools.partial(metrics.SettlingTime, tolerance=self.tolerance)
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return "s"
 
 
@@ -116,7 +116,7 @@ class AngleTable(AbstractMetricTable):
 
     general = False
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         peak = self.kind == "peak_angle"
         metric = metrics.PeakAngleError if peak else metrics.AngleError
         truth = metrics.RotorAngle(plant.pole_pairs)
@@ -127,7 +127,7 @@ class AngleTable(AbstractMetricTable):
 
         return make
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return "electrical degrees"
 
 
@@ -136,10 +136,10 @@ class CoastingTable(AbstractMetricTable):
 
     kind: Literal["coasting"] = key("the kind of metric")
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         return metrics.CoastingFraction
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return "1"
 
 
@@ -150,11 +150,11 @@ class DivergedTable(AbstractMetricTable):
     bound: Positive = key("of the norm of the error, in its units")
     after: NonNegative = key("when it begins to count", "s", default=0.0)
 
-    def build(self, plant):
+    def build(self, plant: Any) -> MakeMetric:
         settings = dict(bound=self.bound, after=self.after)
         return functools.partial(metrics.Diverged, **settings)
 
-    def unit(self, units):
+    def unit(self, units: tuple[str, ...]) -> str:
         return "1"
 
 

@@ -39,7 +39,7 @@ class NormalTable(AbstractSpreadTable):
     mean: float = key("mean")
     deviation: Positive = key("standard deviation")
 
-    def law(self):
+    def law(self) -> AbstractDistribution:
         return Normal(self.mean, self.deviation)
 
 
@@ -51,7 +51,7 @@ class UniformTable(AbstractSpreadTable):
     low: float = key("the least value")
     high: float = key("the largest value")
 
-    def law(self):
+    def law(self) -> AbstractDistribution:
         return Uniform(self.low, self.high)
 
 
@@ -63,7 +63,7 @@ class LogNormalTable(AbstractSpreadTable):
     median: Positive = key("median")
     deviation: Positive = key("standard deviation of the logarithm")
 
-    def law(self):
+    def law(self) -> AbstractDistribution:
         return LogNormal(self.median, self.deviation)
 
 
@@ -75,7 +75,7 @@ class DiscreteTable(AbstractSpreadTable):
     values: list[float] = key("the values")
     weights: list[float] | None = key("their weights, by default equal", default=None)
 
-    def law(self):
+    def law(self) -> AbstractDistribution:
         weights = None if self.weights is None else tuple(self.weights)
         return Discrete(tuple(self.values), weights)
 
@@ -90,7 +90,7 @@ class CorrelatedTable(AbstractSpreadTable):
     correlation: list[list[float]] = key("matrix of correlations")
     names: list[str] | None = key("of the numbers, by default counted", default=None)
 
-    def law(self):
+    def law(self) -> AbstractDistribution:
         return Correlated.of(self.mean, self.deviation, self.correlation)
 
 

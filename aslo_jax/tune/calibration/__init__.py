@@ -3,3 +3,5 @@
 from .corrected import Corrected as Corrected
 from .result import Calibration as Calibration, Undetermined as Undetermined
 from .search import calibrate as calibrate
+
+__all__ = ["Calibration", "Corrected", "Undetermined", "calibrate"]

@@ -3,13 +3,15 @@
 from collections.abc import Callable
 
 import equinox as eqx
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from ..._checks import positive, real
+from ..._module import Module
+from ..._typing import PyTree
 from ...relations import AbstractTerms
 
 
-class Corrected(eqx.Module):
+class Corrected(Module):
     """A relation whose inputs and outputs are recorded with a wrong gain and with offsets:
     `relation(gain u + input_offset, y - output_offset)`. It is a relation itself, so that
     an observer of it corrects as it runs, and [`calibrate`][] finds the errors.
@@ -28,7 +30,7 @@ class Corrected(eqx.Module):
     input_offset: Float[Array, "*m"] = eqx.field(converter=real, default=0.0)
     output_offset: Float[Array, "*p"] = eqx.field(converter=real, default=0.0)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         positive("gain", self.gain)
 
     def __call__(self, u: Float[Array, " m"], y: Float[Array, " p"]) -> AbstractTerms:

@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._module import Module
 
-class Parameters(eqx.Module):
+
+class Parameters(Module):
     """Chosen leaves of a model, entry by entry: `value + scale q`.
 
     - `leaves`: their places among the leaves of `model`; `names` of the entries.

@@ -9,7 +9,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..._module import Module
 from ..._runge_kutta import runge_kutta
+from ..._typing import RealArray
 from ...observers import AlgebraicObserver, Asymptotic, BearingObserver, SideBySide
 from ...plants import (
     WRIM,
@@ -23,7 +25,7 @@ from .corrected import Corrected
 Relation = Callable[[Any, Any], AbstractTerms]
 
 
-class AbstractPrediction(eqx.Module):
+class AbstractPrediction(Module):
     """`x' = drift(x, u, y)` with `gap(x, u, y) = 0` for the true x and y."""
 
     @abc.abstractmethod
@@ -77,7 +79,7 @@ class RelationPrediction(AbstractPrediction):
             yield x[start : start + size]
             start += size
 
-    def drift(self, x, u, y):
+    def drift(self, x: RealArray, u: RealArray, y: RealArray) -> RealArray:
         found = []
         for relation, part, rate in zip(
             self.relations, self._parts(x), self.rates, strict=True
@@ -90,14 +92,21 @@ class RelationPrediction(AbstractPrediction):
                 found.append(given[None])
         return jnp.concatenate(found)
 
-    def step(self, x, disturbance, u, y, h):
+    def step(
+        self,
+        x: RealArray,
+        disturbance: RealArray,
+        u: RealArray,
+        y: tuple[RealArray, RealArray],
+        h: RealArray,
+    ) -> RealArray:
         # Heun's method, exact where the known derivative does not depend on x.
         added = jnp.zeros_like(x).at[jnp.asarray(self.disturbed)].add(disturbance)
         left = self.drift(x, u, y[0]) + added
         right = self.drift(x + h * left, u, y[1]) + added
         return x + 0.5 * h * (left + right)
 
-    def gap(self, x, u, y):
+    def gap(self, x: RealArray, u: RealArray, y: RealArray) -> RealArray:
         found = []
         for relation, part, constant in zip(
             self.relations, self._parts(x), self.constants, strict=True
@@ -110,7 +119,7 @@ class RelationPrediction(AbstractPrediction):
         return jnp.stack(found)
 
     @property
-    def disturbed(self):
+    def disturbed(self) -> tuple[int, ...]:
         entries, start = [], 0
         for size, rate in zip(self.sizes, self.rates, strict=True):
             entries += range(start, start + size - rate)
@@ -134,24 +143,31 @@ class NewtonPrediction(AbstractPrediction):
     system: AbstractMechanicalSystem
     coordinates: int = eqx.field(static=True)
 
-    def drift(self, x, u, y):
+    def drift(self, x: RealArray, u: RealArray, y: RealArray) -> RealArray:
         del y
         n = self.coordinates
         state = MechanicalState(x[:n], x[n:])
         rate = self.system.vector_field(jnp.zeros(()), state, u)
         return jnp.concatenate([rate.position, rate.velocity])
 
-    def step(self, x, disturbance, u, y, h):
+    def step(
+        self,
+        x: RealArray,
+        disturbance: RealArray,
+        u: RealArray,
+        y: tuple[RealArray, RealArray],
+        h: RealArray,
+    ) -> RealArray:
         added = jnp.zeros_like(x).at[jnp.asarray(self.disturbed)].add(disturbance)
         rate = lambda t, x: self.drift(x, u, y[0]) + added
         return runge_kutta(rate, jnp.zeros_like(h), x, h)
 
-    def gap(self, x, u, y):
+    def gap(self, x: RealArray, u: RealArray, y: RealArray) -> RealArray:
         del u
         return y - x[: self.coordinates]
 
     @property
-    def disturbed(self):
+    def disturbed(self) -> tuple[int, ...]:
         return tuple(range(self.coordinates, 2 * self.coordinates))
 
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._module import Module
 from ..._replay import replay
 from ...observers import Unwrapped, VelocityObserver
 from ...plants import AbstractMechanicalSystem
@@ -31,7 +32,7 @@ SLOPE = 20  # rows from which the first velocities of a mechanical system are gu
 Vector = Array | np.ndarray
 
 
-class Form(eqx.Module):
+class Form(Module):
     """How a model predicts: a mechanical system, or relations with what is known of them.
 
     - `sizes`, `rates`: as in [`RelationPrediction`][]; `opened`: which constants are free.
@@ -53,7 +54,7 @@ class Form(eqx.Module):
         return RelationPrediction(relations, every, self.sizes, self.rates)
 
 
-class Problem(eqx.Module):
+class Problem(Module):
     """The unknowns are the parameters `q`, the first states, and the free constants.
 
     `unknowns` is where they start, one vector in this order.

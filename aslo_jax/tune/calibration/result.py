@@ -19,7 +19,7 @@ class Undetermined:
     parts: Mapping[str, float]
     deviation: float
 
-    def __str__(self):
+    def __str__(self) -> str:
         return " ".join(
             f"{'-' if share < 0 else '+' if k else ''}{'' if not k else ' '}"
             f"{'' if abs(share) > 0.995 else f'{abs(share):.2g} '}{name}"
@@ -75,7 +75,7 @@ class Calibration:
                 found.append((name, f"{before:.6g}", "", why))
         return found
 
-    def __str__(self):
+    def __str__(self) -> str:
         head = ("parameter", "before", "after", f"interval ({100 * self.confidence:g} %)")
         table = [head, *self.rows()]
         widths = [max(len(row[k]) for row in table) for k in range(3)]

@@ -165,7 +165,7 @@ class _Search:
     The gains are frozen while squares are made least: what they change in the errors is of
     second order, and the errors then cost no more than a simulation."""
 
-    def __init__(self, problem: Problem):
+    def __init__(self, problem: Problem) -> None:
         self.problem = problem
         y = np.asarray(problem.signals.y)
         drift = problem.drift()

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._checks import real
+from ..._module import Module
 from ..._replay import replay
 from ...filters import LowPass
 from ...guard import Guard
@@ -29,7 +30,7 @@ THRESHOLD = 1e-3  # of the guard of an observer that is not given
 TIME_CONSTANTS = 2.0  # of the filter, after which an estimate is used
 
 
-class Observers(eqx.Module):
+class Observers(Module):
     """The algebraic observers in an observer, or those of a plant's relations with `cutoff`
     (rad/s)."""
 
@@ -112,7 +113,7 @@ def paired(evaluate: Callable[[np.ndarray], Any]) -> tuple[Callable, Callable]:
     return (lambda x: at(x.tobytes())[0]), (lambda x: at(x.tobytes())[1])
 
 
-class _Relative(eqx.Module):
+class _Relative(Module):
     """The relative residuals of the algebraic estimates, over parameters `q`."""
 
     parameters: Parameters

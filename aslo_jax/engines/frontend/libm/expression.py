@@ -14,7 +14,7 @@ class Expression:
 
     __slots__ = ("graph", "number")
 
-    def __init__(self, graph: Graph, number: int):
+    def __init__(self, graph: Graph, number: int) -> None:
         self.graph = graph
         self.number = number
 
@@ -22,7 +22,7 @@ class Expression:
     def dtype(self) -> np.dtype:
         return self.graph.dtype(self.number)
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"Expression({self.graph.nodes[self.number]})"
 
     def like(self, x: Any) -> Expression:

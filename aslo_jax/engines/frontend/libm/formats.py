@@ -25,7 +25,7 @@ LN2 = "0.693147180559945309417232121458176568075500134360255254120680"
 class Format:
     """Widths and constants of a floating-point type."""
 
-    def __init__(self, dtype: np.dtype):
+    def __init__(self, dtype: np.dtype) -> None:
         info = np.finfo(dtype)
         self.mantissa = info.nmant
         self.bias = 2 ** (info.bits - 2 - info.nmant) - 1

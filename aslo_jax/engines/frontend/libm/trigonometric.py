@@ -97,7 +97,7 @@ class _Quadrant:
     """Of a whole number n of right angles: whether it is odd, and the signs of sine and
     cosine, all of which the two lowest bits tell."""
 
-    def __init__(self, n: Expression):
+    def __init__(self, n: Expression) -> None:
         top = 8 * n.dtype.itemsize - 1
         self.lowest, self.second = n << top, n << (top - 1)
         self.sign = n.like(-(2**top))

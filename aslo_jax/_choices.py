@@ -1,0 +1,54 @@
+"""The sets of words that arguments and files are chosen from."""
+
+from typing import Literal, TypeAlias
+
+# How an observer's filters start; how rows are completed, in files.
+FilterStart: TypeAlias = Literal["exact", "paper"]
+CompletionName: TypeAlias = Literal["least-squares", "repeat"]
+
+# Which engine is asked for, and which one runs.
+Engine: TypeAlias = Literal["auto", "fused", "scan"]
+RunningEngine: TypeAlias = Literal["fused", "scan"]
+
+# What becomes of samples that are missing.
+Missing: TypeAlias = Literal["refuse", "coast", "interpolate"]
+
+# How the samples of a study are laid out, and what its bound averages.
+DesignName: TypeAlias = Literal["iid", "lhs", "sobol"]
+Average: TypeAlias = Literal["bounds", "information"]
+
+# How a fit takes derivatives, in which scale it tunes a leaf, and why it ended.
+Mode: TypeAlias = Literal["auto", "forward", "reverse"]
+UsedMode: TypeAlias = Literal["forward", "reverse"]
+Scale: TypeAlias = Literal["auto", "log", "linear"]
+Stopped: TypeAlias = Literal["converged", "no improvement", "iteration limit", "not finite"]
+
+# What a datasheet may mean.
+Amplitude: TypeAlias = Literal["peak", "rms"]
+Between: TypeAlias = Literal["lines", "phase"]
+Per: TypeAlias = Literal["krpm", "rad/s"]
+Speed: TypeAlias = Literal["mechanical", "electrical"]
+Connection: TypeAlias = Literal["star", "delta"]
+
+# The windings of a wound-rotor machine.
+Winding: TypeAlias = Literal["stator", "rotor"]
+
+__all__ = [
+    "Amplitude",
+    "Average",
+    "Between",
+    "CompletionName",
+    "Connection",
+    "DesignName",
+    "Engine",
+    "FilterStart",
+    "Missing",
+    "Mode",
+    "Per",
+    "RunningEngine",
+    "Scale",
+    "Speed",
+    "Stopped",
+    "UsedMode",
+    "Winding",
+]
