@@ -76,7 +76,7 @@ def values_of(machine: AbstractDescription, found: Calibration) -> dict[str, Any
     values: dict[str, Any] = {}
     for name in found.after:
         key, _, entry = name.partition("[")
-        if not np.isfinite(found.after[name]):
+        if not np.isfinite(found.after[name]) or not hasattr(machine.machine, key):
             continue
         old = np.asarray(getattr(machine.machine, key), float)
         new = np.array(values.get(key, old))

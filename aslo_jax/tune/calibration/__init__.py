@@ -1,5 +1,5 @@
 """Parameters of a machine from a log without ground truth, by its relation's residual."""
 
 from .corrected import Corrected as Corrected
+from .method import calibrate as calibrate
 from .result import Calibration as Calibration, Undetermined as Undetermined
-from .search import calibrate as calibrate
