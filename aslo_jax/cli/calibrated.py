@@ -30,9 +30,9 @@ def warnings(found: Calibration) -> list[dict[str, Any]]:
         told.append({"kind": name, "message": message, "rows": []})
     if abs(found.correlation) > DOUBTFUL and not found.withdrawn:
         message = (
-            f"the prediction errors are correlated ({found.correlation:.2g}): the model, or "
-            "its sampling, leaves more than noise does; the intervals allow for what varies "
-            "along the log, and not for what is wrong throughout."
+            f"the prediction errors are correlated ({found.correlation:.2g}): the model, "
+            "or its sampling, leaves more than noise does; the intervals allow for what "
+            "varies along the log, and not for what is wrong throughout."
         )
         told.append({"kind": "correlation", "message": message, "rows": []})
     return told

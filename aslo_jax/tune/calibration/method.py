@@ -110,7 +110,7 @@ def calibrate(
         problem=problem,
         v=v,
         known=known,
-        profiles=search.profiles(v, known, factor),
+        profiles=search.profiles(v, known, confidence),
         findings=findings(search, tests),
         factor=factor,
         confidence=confidence,

@@ -6,7 +6,7 @@ intervals", Applied Statistics 37, 1988; doi:10.2307/2347496.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -26,13 +26,15 @@ class Profile:
 
     - `place`: of the parameter, relative to where it started, shape `(n,)`, in order;
     - `deviance`: the sum of squares above the least one, in variances of the errors;
-    - `low`, `high`: the ends of its interval; infinite where none was found.
+    - `low`, `high`: the ends of its interval; infinite where none was found;
+    - `parabolic`: whether these are about where the curvature has them.
     """
 
     place: Float[np.ndarray, " n"]
     deviance: Float[np.ndarray, " n"]
     low: float
     high: float
+    parabolic: bool
 
 
 def profile(
@@ -41,24 +43,56 @@ def profile(
     j: int,
     variance: float,
     deviation: float,
-    factor: float,
-    inflation: float,
+    confidence: float,
+    inflation: Callable[[Float[np.ndarray, " v"]], float],
     farthest: float,
+    degrees: int,
 ) -> Profile:
     """The profile over unknown `j` about the `best` unknowns.
 
     - `evaluate`: residuals, prior among them, and slopes of a vector of unknowns;
     - `variance`: of the errors;
-    - `deviation`: of the parameter, by curvature; `factor`: of it, to an end;
-    - `inflation`: of the variance, as the errors are not white;
-    - `farthest`: the distance from `best` at which the search gives up.
+    - `deviation`: of the parameter, by curvature, were the errors white;
+    - `confidence`: of the interval;
+    - `inflation`: of the variance, as the errors are not white, at some unknowns;
+    - `farthest`: the distance from `best` at which the search gives up;
+    - `degrees`: of freedom of the deviance of the true value: one, where the ends for all
+      parameters are as the curvature says. Where one's is not, first and second order in it
+      say about as much, and the deviance has at most the distribution for two.
     """
-    walk = _Walk(evaluate, best, j, variance)
-    limit = factor**2 * inflation
-    ends = [walk.end(side, factor * deviation, limit, farthest) for side in (-1.0, 1.0)]
+    import scipy.stats  # heavy to import, and needed here only
+
+    walk, sides = _Walk(evaluate, best, j, variance), (-1.0, 1.0)
+    one, two = (float(scipy.stats.chi2.ppf(confidence, n)) for n in (degrees, 2))
+    inflated = inflation(best)
+    limit, width = one * inflated, float(np.sqrt(one * inflated)) * deviation
+    ends = [walk.near(side, width, limit, farthest) for side in sides]
+    parabolic = bool(np.isfinite(ends).all())
+    if not parabolic and width < farthest:
+        paths = [walk.path(side, width, two * inflated, farthest) for side in sides]
+        within = [v for path in paths for _, d, v in path if d < two * inflated]
+        limit = two * max([inflated, *(inflation(v) for v in within)])
+        ends = [_crossing(float(best[j]), path, limit) for path in paths]
     seen = sorted(walk.seen.items())
     place, deviance = (np.array(x) for x in zip(*seen, strict=True))
-    return Profile(place, deviance, ends[0], ends[1])
+    low, high = (
+        side * np.inf if np.isnan(end) else end
+        for side, end in zip(sides, ends, strict=True)
+    )
+    return Profile(place, deviance, float(low), float(high), parabolic)
+
+
+def _crossing(middle: float, path: Sequence[tuple], limit: float) -> float:
+    """The outermost place at which the deviance rises above the limit; NaN for none."""
+    crossing, here, last = np.nan, middle, 0.0
+    for there, deviance, _ in path:
+        if last < limit <= deviance:
+            share = (limit - last) / (deviance - last)
+            crossing = here + share * (there - here)
+        elif deviance < limit:
+            crossing = np.nan
+        here, last = there, deviance
+    return crossing
 
 
 class _Walk:
@@ -91,27 +125,26 @@ class _Walk:
         self.seen[place] = deviance
         return deviance, kept
 
-    def end(self, side: float, width: float, limit: float, farthest: float) -> float:
-        middle = float(self.best[self.j])
+    def near(self, side: float, width: float, limit: float, farthest: float) -> float:
+        """The end of the interval where it is as the curvature says; NaN where not."""
         if not width < farthest:
-            return side * np.inf
-        deviance, v = self._at(middle + side * width, self.best)
-        if abs(deviance / limit - 1.0) < LIKE_CURVATURE:
-            return middle + side * width * np.sqrt(limit / deviance)
-        # Far from a parabola: every place counts, for a hill may hide another valley.
-        last, v, crossing = 0.0, self.best, side * np.inf
-        here = middle
+            return np.nan
+        middle = float(self.best[self.j])
+        deviance, _ = self._at(middle + side * width, self.best)
+        if not abs(deviance / limit - 1.0) < LIKE_CURVATURE:
+            return np.nan
+        return middle + side * width * float(np.sqrt(limit / deviance))
+
+    def path(self, side: float, width: float, limit: float, farthest: float) -> list[tuple]:
+        """Places, deviances and unknowns, step by step outwards: a hill may hide another
+        valley, so that one walks on for a while above the limit."""
+        middle, v, found = float(self.best[self.j]), self.best, []
         for step in range(1, 3 * STEPS + 1):
             there = middle + side * width * step / STEPS
             if abs(there - middle) > farthest:
-                return side * np.inf if last < limit else crossing
+                break
             deviance, v = self._at(there, v)
-            if last < limit <= deviance:
-                share = (limit - last) / (deviance - last)
-                crossing = here + share * (there - here)
-            elif deviance < limit:
-                crossing = side * np.inf
+            found.append((there, deviance, v))
             if deviance > 4.0 * limit and step >= STEPS:
                 break
-            here, last = there, deviance
-        return crossing
+        return found

@@ -1,6 +1,7 @@
 """The rounds of a search: prediction errors along a log, made white and then small."""
 
 import dataclasses
+import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -114,25 +115,34 @@ class Search:
         return v
 
     def profiles(
-        self, v: Float[np.ndarray, " v"], known: Information, factor: float
+        self, v: Float[np.ndarray, " v"], known: Information, confidence: float
     ) -> list[Profile]:
         """Of every parameter, about the unknowns `v` that a round has found."""
         variance = float(np.mean(self.errors**2))
         inverse = np.linalg.pinv(known.curvature, hermitian=True) / variance
         doubt = np.abs(inverse) @ self.doubt
-        found = [
-            profile(
+
+        def inflation(w, j):
+            e, J = whitened(self.problem, self.whole(w, v), self.reference, self.gains)
+            own = np.asarray(J)[..., self.free]
+            return float(information(np.asarray(e), own, self.k, self.prior).inflation[j])
+
+        def profiled(j: int, degrees: int) -> Profile:
+            return profile(
                 self.evaluate,
                 v[self.free],
                 j,
                 variance,
                 float(known.deviation[j] / np.sqrt(known.inflation[j])),
-                factor,
-                float(known.inflation[j]),
+                confidence,
+                functools.partial(inflation, j=j),
                 FARTHEST,
+                degrees,
             )
-            for j in range(self.k)
-        ]
+
+        found = [profiled(j, 1) for j in range(self.k)]
+        if not all(p.parabolic for p in found):
+            found = [profiled(j, 2) if p.parabolic else p for j, p in enumerate(found)]
         return [
             dataclasses.replace(p, low=p.low - d, high=p.high + d)
             for p, d in zip(found, doubt, strict=True)

@@ -100,8 +100,8 @@ def first_guess(
     )
     if cost > UNSURE and _solved(turned, tested)[1] < cost / CLEAR:
         raise ValueError(
-            "No calibration: with the sign of all outputs turned the log fits the machine "
-            f"at least {CLEAR:g} times better; are the currents counted out of the machine? "
+            "No calibration: with the sign of all outputs turned the log fits the "
+            f"machine at least {CLEAR:g} times better; are currents counted out of it? "
             "Turn their sign (option --column, for instance i_alpha=-i_alpha), or that of "
             "the inputs."
         )
