@@ -107,7 +107,7 @@ def nonnegative(name: str, x: Array | np.ndarray | float) -> None:
 
 
 def divides(every: int, steps: int) -> None:
-    """Refuse to record every so manyth of `steps` where that misses the last."""
+    """Refuse to record one of every so many `steps` where that misses the last."""
     if steps < 1 or every < 1 or steps % every:
         raise ValueError(
             "Argument `every` must divide `steps`, both at least 1, but got "

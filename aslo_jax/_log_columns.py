@@ -3,15 +3,12 @@
 import difflib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ._log_files import LogError
-
-if TYPE_CHECKING:
-    from .logs import Signals
+from ._log_signals import Signals
 
 
-def checked_mapping(columns: Mapping[str, str], signals: "Signals") -> dict[str, str]:
+def checked_mapping(columns: Mapping[str, str], signals: Signals) -> dict[str, str]:
     for name in columns:
         if name not in signals.names:
             close = _closest(name, signals.names)
@@ -25,7 +22,7 @@ def checked_mapping(columns: Mapping[str, str], signals: "Signals") -> dict[str,
 
 def select(
     path: Path,
-    signals: "Signals",
+    signals: Signals,
     names: Mapping[str, str],
     mapped: Mapping[str, str],
     available: list[str],
@@ -64,7 +61,7 @@ def select(
 def _refuse_missing(
     path: Path,
     lacking: list[str],
-    signals: "Signals",
+    signals: Signals,
     names: Mapping[str, str],
     mapped: Mapping[str, str],
     available: list[str],

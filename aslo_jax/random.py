@@ -6,6 +6,8 @@ uint32, the same in every engine. Bits: Threefry-2x32 with 20 rounds (Salmon et 
 doi:10.1145/2063384.2063405), equal to JAX's own.
 """
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -80,10 +82,7 @@ def uniform(
     dtype: DTypeLike = float,
 ) -> Float[Array, "..."]:
     """Uniform numbers in (0, 1), for time `index` and `stream`."""
-    dtype = jax.dtypes.canonicalize_dtype(dtype)
-    size = int(np.prod(shape))
-    words = threefry(key, *_counters(index, stream, -(-size // 2)))
-    return _unit(jnp.stack(words, -1), dtype).reshape(-1)[:size].reshape(shape)
+    return _drawn(key, index, stream, shape, dtype, lambda a, b: (a, b))
 
 
 def normal(
@@ -94,10 +93,25 @@ def normal(
     dtype: DTypeLike = float,
 ) -> Float[Array, "..."]:
     """Standard normal numbers, for time `index` and `stream`, by Box and Muller."""
+    return _drawn(key, index, stream, shape, dtype, _box_muller)
+
+
+def _box_muller(a: Array, b: Array) -> tuple[Array, Array]:
+    radius, turn = jnp.sqrt(-2.0 * jnp.log(a)), 2.0 * jnp.pi * b
+    return radius * jnp.cos(turn), radius * jnp.sin(turn)
+
+
+def _drawn(
+    key: Key,
+    index: int | Int[Array, ""],
+    stream: int,
+    shape: tuple[int, ...],
+    dtype: DTypeLike,
+    law: Callable[[Array, Array], tuple[Array, Array]],
+) -> Float[Array, "..."]:
+    """Numbers of a `law`, which makes two of two that are uniform in (0, 1)."""
     dtype = jax.dtypes.canonicalize_dtype(dtype)
     size = int(np.prod(shape))
     words = threefry(key, *_counters(index, stream, -(-size // 2)))
-    radius = jnp.sqrt(-2.0 * jnp.log(_unit(words[0], dtype)))
-    turn = 2.0 * jnp.pi * _unit(words[1], dtype)
-    pairs = jnp.stack([radius * jnp.cos(turn), radius * jnp.sin(turn)], -1)
+    pairs = jnp.stack(law(*(_unit(word, dtype) for word in words)), -1)
     return pairs.reshape(-1)[:size].reshape(shape)

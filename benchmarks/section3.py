@@ -62,7 +62,7 @@ def asymptotic(relation, gains, threshold: float = THRESHOLD) -> aslo.Asymptotic
 
 
 def drive(machine, like, observer, sample, *, speed, wave, limit, interval, noise):
-    """A motor under field-oriented control by an encoder: `speed` with a wave upon it of
+    """A motor under field-oriented control by an encoder: `speed` with a wave on it of
     random phase (mechanical rad/s), the resistance of the machine off by the spread."""
     key = sample
     phase, off = uniform(key, 0, 0.0, 2 * jnp.pi), uniform(key, 1, -SPREAD, SPREAD)

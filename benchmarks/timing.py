@@ -14,7 +14,7 @@ def interleaved(
     """The median seconds of one call of each contender over `runs` rounds, after a first
     call that compiles, and what that first call returned. After its first round a
     contender is called as often in a round as fills `shortest` seconds. Every round has
-    another order: who comes after one thread finds the other processors asleep."""
+    another order: who comes after one thread finds the other processors idle."""
     values = {name: run() for name, run in contenders.items()}
     seconds: dict[Any, list[float]] = {name: [] for name in contenders}
     order, shuffle = list(contenders), random.Random(0).shuffle

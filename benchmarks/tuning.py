@@ -79,7 +79,7 @@ def curves():
     """A function of speeds (mechanical rad/s) and noises (A), shape `(C,)`, and a seed: the
     mean square relative flux error of the ASLO at each of `RATIOS` of lambda to the
     electrical speed, shape `(C, ratios)`. The PMSM of Table 1 without a load, its speed
-    with a wave of a quarter upon it, 1 s at 5 kHz, errors from 0.5 s on. Compiled once."""
+    with a wave of a quarter on it, 1 s at 5 kHz, errors from 0.5 s on. Compiled once."""
     import jax
     import jax.numpy as jnp
 

@@ -1,7 +1,7 @@
 """Every test runs in float64 with warnings as errors (pyproject.toml) and fixed seeds.
 
-Compilation takes most of the time of the tests, hence the settings of XLA below. They reach
-the processes that a test starts through the environment.
+Compilation takes most of the time of the tests, which is why XLA is set as below. The
+settings reach the processes that a test starts through the environment.
 
 `aslo_jax` must not be imported here: the checks of its annotations are installed first.
 """

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from aslo_jax.cli import main
+from aslo_jax.described import calibrate_machine, calibrated_text as rewritten
 from aslo_jax.logs import read_log, write_table
 from aslo_jax.machines import MachineError, read_machine
-from aslo_jax.machines.calibrated import calibrate_machine, rewritten
 
 MACHINE = """\
 # A motor.

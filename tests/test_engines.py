@@ -391,7 +391,7 @@ def test_forward_derivatives_are_those_of_scan():
 
 def test_derivatives_under_jit_and_vmap():
     """Of a chain: a motor, as above, takes several times as long to compile, and each of
-    these compiles anew."""
+    these compiles again."""
     chain = aslo.plants.IntegratorChain(2)
 
     def make(sample):

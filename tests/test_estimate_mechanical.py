@@ -113,7 +113,7 @@ def case(request, tmp_path_factory) -> tuple[Case, Path, Columns, Columns]:
     return case, folder, log, estimates(folder, log)
 
 
-# A system from Python is compiled anew by every command.
+# A system from Python is compiled again by every command.
 QUICK = pytest.mark.parametrize("case", ["leg", "ball"], indirect=True)
 
 

@@ -22,7 +22,7 @@ PRIVATE_USE = {
     "solvers",
     "structure",
 }
-EXTRAS = ("matplotlib", "pandas", "pyarrow", "pydantic", "tqdm", "typer")
+EXTRAS = ("matplotlib", "pandas", "pyarrow", "pydantic", "tomlkit", "tqdm", "typer")
 
 
 def run(code: str) -> subprocess.CompletedProcess[str]:

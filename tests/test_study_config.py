@@ -156,6 +156,14 @@ CHANGES = {
         '`observers.ASLO.kind`, "fo2", is for "pmsm", but `machine.kind` is '
         '"double_integrator"',
     ),
+    "a key without effect": (
+        {"observers.ASLO.velocity_cutoff": 50.0},
+        "`observers.ASLO`: `velocity_cutoff` has no effect on this observer of this mach",
+    ),
+    "a key that another one switches off": (
+        {"observers.ASLO.completion": "repeat", "observers.ASLO.forgetting": 3.0},
+        "`observers.ASLO`: `forgetting` has no effect on this observer",
+    ),
     "a metric of another machine": (
         {"metrics.rms": {"kind": "angle"}},
         '`metrics.rms.kind`, "angle", is for "pmsm"',

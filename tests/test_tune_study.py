@@ -1,6 +1,7 @@
 """The gains of a study's file, tuned: in Python, and by the command, in the same file."""
 
 import copy
+import re
 import tomllib
 from importlib.resources import files
 
@@ -8,11 +9,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from aslo_jax._toml_text import rewritten
+from aslo_jax.cli import main
 from aslo_jax.cli.app import app
 from aslo_jax.cli.tune import compared
+from aslo_jax.described import changed, tune_study
+from aslo_jax.schema.toml_text import rewritten
 from aslo_jax.study.config import NAMES
-from aslo_jax.tune.configured import changed, tune_study
 
 pytest.importorskip("llvmlite")
 TEXT = (files("aslo_jax.study") / "configs" / "double_integrator.toml").read_text("utf-8")
@@ -68,6 +70,23 @@ def test_only_the_values_change():
         rewritten("[x]\na = [\n 1.0]\n", {"x": {"a": [2.0]}})
 
 
+def test_tables_may_be_written_in_any_way():
+    """Inline, dotted, in an inline array, before another one's part; after a byte mark."""
+    text = (
+        "\ufeffm = {kind = 'a', r = 1.0} # m\ns = [{k = 1.0}, {k = 2.0}]\nz.q = 1.5 # z\n"
+        "[x]\na = 1e3   # a\n[y]\nb = 1\n[x.'s t']\nc = 2\n"
+    )
+    values = {"m": {"r": 2.0}, "s.1": {"k": 4.0}, "z": {"q": 2.5}}
+    values |= {"x": {"a": 7.0, "n": 1.0}, "x.s t": {"c": 3, "d": 4}}
+    assert rewritten(text, values) == (
+        "\ufeffm = {kind = 'a', r = 2.0} # m\ns = [{k = 1.0}, {k = 4.0}]\nz.q = 2.5  # z\n"
+        "[x]\na = 7.0   # a\nn = 1.0\n[y]\nb = 1\n[x.'s t']\nd = 4\nc = 3\n"
+    )
+    for wrong in ("w", "s.2", "x.t"):
+        with pytest.raises(ValueError, match=f"must have a table `{re.escape(wrong)}` for"):
+            rewritten(text, {wrong: {"a": 1.0}})
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_every_ready_made_study_is_rewritten(name):
     """Also where an observer has a name in quotes."""
@@ -110,3 +129,12 @@ def test_the_command_writes_the_same_file_with_its_gains(tmp_path, tuned):
     expected["observers"]["A-ASLO"] = gains
     assert new == expected
     assert (tmp_path / "tuned.png").stat().st_size > 5_000
+
+
+def test_a_file_that_is_not_toml_is_refused_by_name(tmp_path, capsys):
+    path = tmp_path / "study.toml"
+    path.write_text("title =")
+    with pytest.raises(SystemExit) as left:
+        main(["tune", str(path), "--out", str(tmp_path / "new.toml")])
+    assert left.value.code == 2
+    assert f"{path} is not valid TOML: " in capsys.readouterr().err

@@ -74,9 +74,9 @@ def calibrate(
     """
     double_precision()
     from .._checks import positive
+    from ..described import calibrate_machine, calibrated_text, values_of
     from ..logs import read_log
     from ..machines import read_machine
-    from ..machines.calibrated import calibrate_machine, rewritten, values_of
     from ..tune.calibration.result import UNSETTLED
     from .calibrated import as_json, check_calibrated, warnings
 
@@ -117,7 +117,7 @@ def calibrate(
                 "a run in which speed and currents vary."
             )
         values = values_of(description, found)
-        text = rewritten(machine.read_text(encoding="utf-8"), values)
+        text = calibrated_text(machine.read_text(encoding="utf-8"), values)
         parts[0].write_text(text, encoding="utf-8")
         check_calibrated(description, read_machine(parts[0]), recorded)
         if plot:

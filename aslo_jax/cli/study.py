@@ -60,7 +60,7 @@ def study(
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(min=1, help="Run on so many processes of this machine, by Dask."),
+        typer.Option(min=1, help="How many processes of this machine it runs on, by Dask."),
     ] = None,
     chunk: Annotated[
         int | None,

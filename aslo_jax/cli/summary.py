@@ -95,7 +95,7 @@ class Summary:
             yield f"not in the log, taken as zero: {', '.join(signals.optional)}"
         names = [getattr(settings, key, "") for key in ("saliency", "completion")]
         yield (
-            f"observer for {self.machine.kind}: {', '.join(filter(None, names))}, "
+            f"observer for {self.machine.kind}: {''.join(f'{n}, ' for n in names if n)}"
             f"{getattr(settings, 'start', 'exact')} start, threshold "
             f"{settings.threshold:g}, {self.substeps} substep"
             + ("s" if self.substeps > 1 else "")

@@ -1,6 +1,5 @@
 """`aslo-jax tune`: the gains of a study's observers, tuned by gradients."""
 
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +10,7 @@ from .options import BeforeAndAfter, QuietTable, double_precision
 from .outputs import refuse_overlap, staged
 
 if TYPE_CHECKING:
-    from ..tune.configured import Tuned
+    from ..described import Tuned
 
 
 def tune(
@@ -48,11 +47,11 @@ def tune(
     the values that were found; comments and settings stay.
     """
     double_precision()
-    from .._toml_text import rewritten
+    from ..described import calibrate_study, changed, machine_of, tune_study
     from ..logs import read_log
-    from ..machines.file import KINDS
+    from ..schema import read_toml
+    from ..schema.toml_text import rewritten
     from ..study.config import configure
-    from ..tune.configured import calibrate_study, changed, tune_study
 
     if out.suffix.lower() != ".toml":
         raise ValueError(f"--out must be a .toml file, but is {out}.")
@@ -67,11 +66,11 @@ def tune(
     say = (lambda text: None) if quiet else (lambda text: typer.echo(text, err=True))
     with staged(*outputs.values()) as parts:
         text = config.read_text(encoding="utf-8")
-        content = tomllib.loads(text.lstrip("\ufeff"))
+        content = read_toml(config)
         configure(content)
         values: dict = {}
         if log is not None:
-            signals = KINDS[content["machine"]["kind"]].layout.signals
+            signals = machine_of(content).signals
             found, values = calibrate_study(
                 content, read_log(log, signals, truth=False), progress=say
             )

@@ -136,7 +136,7 @@ class ForcedStart(AbstractController):
     the controller takes over with the angle and speed it is fed. The forced current leaves
     the flux axis over the next `blend` seconds.
 
-    `current` must carry the load with some to spare: the rotor lags the forced angle by
+    `current` must carry the load with a margin: the rotor lags the forced angle by
     the asin of load torque over `current` times the torque constant.
     """
 

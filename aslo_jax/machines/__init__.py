@@ -12,9 +12,12 @@ inertia = 60e-6         # kg m^2
 [observer]              # every key is optional
 cutoff = 150.0          # rad/s
 
-A kind is one module with one final class, and one line in `KINDS`.
+A kind is one module with one final class, and one line in the registry. The class says all
+that is special about its machines: columns, keys and thresholds, the observer, what can be
+calibrated, and how they take part in studies.
 """
 
+from . import motor as motor, offers as offers
 from .ball_beam import BallBeamDescription as BallBeamDescription
 from .base import (
     AbstractDescription as AbstractDescription,
@@ -22,8 +25,9 @@ from .base import (
     MachineError as MachineError,
     Quantity as Quantity,
     Rate as Rate,
+    Unknowns as Unknowns,
 )
-from .file import KINDS as KINDS, read_machine as read_machine, template as template
+from .file import read_machine as read_machine, template as template
 from .frequency import (
     cutoff_for_positions as cutoff_for_positions,
     typical_frequency as typical_frequency,
@@ -32,7 +36,9 @@ from .interior_pmsm import InteriorPMSMDescription as InteriorPMSMDescription
 from .magnetic_bearing import MagneticBearingDescription as MagneticBearingDescription
 from .mechanical import MechanicalDescription as MechanicalDescription
 from .pmsm import PMSMDescription as PMSMDescription
+from .registry import KINDS as KINDS, known_kind as known_kind, studies as studies
 from .robotic_leg import RoboticLegDescription as RoboticLegDescription
 from .speed import cutoff_for as cutoff_for, electrical_speed as electrical_speed
 from .stepper import StepperDescription as StepperDescription
+from .study import Study as Study
 from .wrim import WRIMDescription as WRIMDescription

@@ -3,8 +3,9 @@
 from typing import Literal
 
 from ..plants import BallBeam
-from .base import Positive, Table, key
-from .mechanism import AbstractMechanism, Two, layout
+from ..schema import Positive, Table, key
+from .base import Unknowns
+from .mechanism import AbstractMechanism, Two, layout, study
 
 
 class BallBeamTable(Table):
@@ -30,6 +31,10 @@ class BallBeamDescription(AbstractMechanism[BallBeamTable]):
     kind = "ball_beam"
     title = "Ball and beam"
     layout = layout((False, True), 1, "q1 ball, q2 beam; u1 torque over the ball's mass")
+    unknowns = Unknowns(("length", "damping"), further=("gravity",))
+    study = study(
+        BallBeamTable, BallBeam, {"ball": "m/s", "beam": "rad/s"}, "ball_beam_tracking"
+    )
 
     def plant(self):
         return BallBeam(**self.machine.model_dump(exclude={"kind"}))

@@ -2,62 +2,27 @@
 
 import abc
 import dataclasses
+import inspect
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, get_args
 
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._extras import missing
 from ..completions import LeastSquares, Repeat
 from ..filters import LowPass
 from ..guard import Guard
 from ..logs import Log, Signals
 from ..observers import AbstractObserver, AlgebraicObserver, Asymptotic
 from ..plants import AbstractPlant
-
-try:
-    from pydantic import BaseModel, ConfigDict, Field
-except ModuleNotFoundError as error:
-    raise missing("pydantic", "cli") from error
+from ..schema import Table, is_rate
+from .study import Study
 
 Columns = dict[str, np.ndarray]
 
 
 class MachineError(ValueError):
     """A machine description that cannot be used: names file, key and allowed values."""
-
-
-class Table(BaseModel):
-    """A table of a description: unknown keys, text for a number, NaN are refused."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
-Positive = Annotated[float, Field(gt=0)]
-Whole = Annotated[int, Field(gt=0)]
-
-
-def key(
-    description: str,
-    unit: str = "",
-    *,
-    default: Any = ...,
-    example: Any = None,
-    allowed: str | None = None,
-    because: str = "",
-) -> Any:
-    """A key of a table.
-
-    - `unit`: of a number, in SI; a key of `[observer]` in rad/s is a rate of the observer;
-    - `example`: what [`template`][] writes, by default the default;
-    - `allowed`, `because`: for messages, where the type alone does not tell.
-    """
-    full = f"{description} ({unit})" if unit else description
-    notes = {"unit": unit, "allowed": allowed, "because": because}
-    return Field(
-        default=default, description=full, examples=[example], json_schema_extra=notes
-    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,6 +67,22 @@ class Rate(NamedTuple):
 
 
 Rates = dict[str, Rate]
+
+
+@dataclasses.dataclass(frozen=True)
+class Unknowns:
+    """The keys of `[machine]` that can be found from a log.
+
+    - `usual`: those that its relation depends on, and that are not simply known; `further`:
+      those that are found only if they are asked for;
+    - `refused`: why there are none, as the end of a sentence.
+    """
+
+    usual: tuple[str, ...] = ()
+    further: tuple[str, ...] = ()
+    refused: str = ""
+
+
 M = TypeVar("M", bound=Table)
 O = TypeVar("O", bound=Table)
 
@@ -110,7 +91,8 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
     """A machine description, as [`read_machine`][] reads it: the tables `[machine]` and
     `[observer]`, and what they mean for a log.
 
-    A kind has one final class, which states
+    A kind has one final class. Its `[machine]` begins with the key `kind`, its `[observer]`
+    has the key `threshold`, the certificate below which the estimate coasts. It states
 
     - `kind`: as in `machine.kind`; `title`: the same in words;
     - `layout`: columns in and out, an example of them where the file decides how many;
@@ -118,7 +100,9 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
     - `residual`: the formula of what [`AbstractDescription.residuals`][] returns;
     - `refused`: keys of `[observer]` that other kinds have and this one cannot, and why;
     - `longest_interval` (s): a median interval above it makes one doubt the unit of `t`;
-    - `memory`: on how many rows before it a row of the residuals depends.
+    - `memory`: on how many rows before it a row of the residuals depends;
+    - `unknowns`: what a calibration may find; `study`: how the kind takes part in studies,
+      `None` where it does not.
     """
 
     machine: M
@@ -132,6 +116,31 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
     refused: ClassVar[Mapping[str, str]]
     longest_interval: ClassVar[float]
     memory: ClassVar[int] = 0
+    unknowns: ClassVar[Unknowns] = Unknowns(refused="its description offers no parameters")
+    study: ClassVar[Study | None] = None
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **settings: Any) -> None:
+        """Refuse a final class that lacks what every user of descriptions asks for.
+
+        **Raises:** `TypeError`.
+        """
+        if inspect.isabstract(cls):
+            return
+        machine, observer = (
+            cls.model_fields[n].annotation for n in ("machine", "observer")
+        )
+        field = getattr(machine, "model_fields", {}).get("kind")
+        if field is None or get_args(field.annotation) != (cls.kind,):
+            raise TypeError(
+                f"`[machine]` of {cls.__name__} must have the key `kind` of the type "
+                f'Literal["{cls.kind}"].'
+            )
+        if "threshold" not in getattr(observer, "model_fields", {}):
+            raise TypeError(
+                f"`[observer]` of {cls.__name__} must have the key `threshold`, the "
+                "certificate below which the estimate coasts."
+            )
 
     @abc.abstractmethod
     def plant(self) -> AbstractPlant:
@@ -222,11 +231,6 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         every = {k: Rate(v) for k, v in stated.items()} | chosen
         fields = type(self.observer).model_fields
         return {k: every[k] for k in fields if k in every}
-
-
-def is_rate(field: Any) -> bool:
-    """Whether a field of an `[observer]` is a rate of the observer (rad/s)."""
-    return bool(field.json_schema_extra) and field.json_schema_extra["unit"] == "rad/s"
 
 
 def algebraic(

@@ -11,17 +11,9 @@ from ..filters import LowPass
 from ..guard import Guard
 from ..observers import SelfConsistent
 from ..plants import InteriorPMSM, SalientFluxRelation
+from ..schema import Positive, Table, Whole, key
 from . import keys, motor
-from .base import (
-    AbstractDescription,
-    MachineError,
-    Positive,
-    Rate,
-    Table,
-    Whole,
-    algebraic,
-    key,
-)
+from .base import AbstractDescription, MachineError, Rate, Unknowns, algebraic
 
 
 class InteriorPMSMTable(Table):
@@ -77,6 +69,7 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
     residual = "| |flux - Lq i| - m - (Ld - Lq) i_d | / magnet flux"
     refused: ClassVar = {}
     longest_interval = motor.LONGEST_INTERVAL
+    unknowns = Unknowns(refused="its relation holds only up to the ripple of the d current")
 
     @model_validator(mode="after")
     def _agree(self):

@@ -2,7 +2,7 @@
 
 from typing import Any, Literal
 
-from .base import key
+from ..schema import key
 
 Completion = Literal["least-squares", "repeat"]
 Start = Literal["exact", "paper"]

@@ -1,6 +1,6 @@
 """`kind = "magnetic_bearing"`: one axis of an active magnetic bearing."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -10,19 +10,19 @@ from ..guard import Guard
 from ..logs import Signals
 from ..observers import AlgebraicObserver, BearingObserver
 from ..plants import MagneticBearing
-from . import keys
+from ..schema import NoLoad, Numbers, Positive, Table, WaveTable, key
+from . import keys, offers
 from .base import (
     AbstractDescription,
     Layout,
-    Positive,
     Quantity,
     Rate,
-    Table,
+    Unknowns,
     certified,
     in_columns,
-    key,
     relative,
 )
+from .study import Study
 
 # A body at rest shows nothing: the cutoff is below the frequencies at which one moves. With
 # 1 mA of noise on 0.5 A, 30 and 200 rad/s gave 2 % of the position and 6 % of the velocity
@@ -72,6 +72,34 @@ class MagneticBearingObserver(Table):
     threshold: Positive = keys.threshold(THRESHOLD)
 
 
+class BearingStart(Table):
+    """The state in which a bearing starts; what is left out is that of the plant."""
+
+    flux: Numbers | None = key("flux of the coils", "Wb", default=None)
+    position: float | None = key("position of the body", "m", default=None)
+    velocity: float | None = key("velocity of the body", "m/s", default=None)
+
+
+class SuspensionTable(Table):
+    """What acts on a bearing in a study."""
+
+    bias: Positive = key("current of both coils at the start", "A", default=1.0)
+    force: WaveTable = key("outer force on the body (N)", default=NoLoad)
+    initial: BearingStart = key("the first state", default=BearingStart())
+
+
+def _suspended(table: Any) -> MagneticBearing:
+    settings = table.model_dump(exclude={"kind", "resistance", "force", "initial"})
+    resistance = np.asarray(table.resistance, float)
+    return MagneticBearing(resistance, **settings, force=table.force.signal())
+
+
+def _observer(keys: Any, plant: MagneticBearing, start: Any) -> BearingObserver:
+    del start
+    flux = offers.algebraic_observer(plant.flux_relation(), keys, THRESHOLD)
+    return BearingObserver(flux, LowPass(keys.velocity_cutoff))
+
+
 class MagneticBearingDescription(
     AbstractDescription[MagneticBearingTable, MagneticBearingObserver]
 ):
@@ -104,6 +132,16 @@ class MagneticBearingDescription(
         "start": "its observer has the exact start only; remove it",
     }
     longest_interval = 5e-3
+    unknowns = Unknowns(("resistance", "gap"), further=("force_constant",))
+    study = Study(
+        machine=MagneticBearingTable,
+        acting=SuspensionTable,
+        entries=(*FLUX, "position", "velocity"),
+        units=("Wb", "Wb", "m", "m/s"),
+        plant=_suspended,
+        observers={"aslo": _observer},
+        controls=("levitation",),
+    )
 
     def plant(self):
         table = self.machine.model_dump(exclude={"kind", "resistance"})

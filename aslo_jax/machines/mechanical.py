@@ -6,9 +6,10 @@ from typing import Annotated, Any, Literal
 import jax
 from pydantic import Field, PrivateAttr, model_validator
 
+from ..schema import Table, key
 from ..structure import Structure, structure_of
 from ._python import load_system
-from .base import Table, key
+from .base import Unknowns
 from .mechanism import AbstractMechanism, layout
 
 OPEN = "here two coordinates, of which q2 is an angle, and two inputs: the system decides"
@@ -36,6 +37,9 @@ class MechanicalDescription(AbstractMechanism[MechanicalTable]):
     kind = "mechanical"
     title = "Mechanical system"
     layout = layout((False, True), 2, OPEN)
+    unknowns = Unknowns(
+        refused="its parameters are in Python; use `aslo_jax.tune.calibrate` there"
+    )
 
     @model_validator(mode="after")
     def _load(self, info):

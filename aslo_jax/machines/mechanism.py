@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Sequence
-from typing import Annotated, ClassVar, Generic, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -14,21 +14,20 @@ from ..guard import Guard
 from ..logs import Log, Signals
 from ..observers import Unwrapped, VelocityObserver, velocity_observer
 from ..plants import AbstractMechanicalSystem
+from ..schema import NonNegative, Positive, Table, key
 from ..structure import Structure, decay_rate, structure_of
-from . import keys
+from . import keys, offers
 from .base import (
     AbstractDescription,
     Layout,
     MachineError,
-    Positive,
     Quantity,
     Rate,
-    Table,
     certified,
-    key,
     relative,
 )
 from .frequency import cutoff_for_positions
+from .study import Study
 
 # A certificate begins as (cutoff t)^2/3, or without least squares as (cutoff t)^2, where
 # the encoder's steps are divided by t: at 12 bits, the first certified rows are 3 to 30 %
@@ -36,7 +35,6 @@ from .frequency import cutoff_for_positions
 THRESHOLD = 1e-2
 WINDOW = 100  # rows over which velocities are compared with the way
 
-NonNegative = Annotated[float, Field(ge=0)]
 Two = Annotated[list[NonNegative], Field(min_length=2, max_length=2)]
 Three = Annotated[list[NonNegative], Field(min_length=3, max_length=3)]
 M = TypeVar("M", bound=Table)
@@ -54,6 +52,41 @@ class VelocityObserverTable(Table):
     start: keys.Start = keys.start()
     gain: Positive | None = keys.gain()
     threshold: Positive = keys.threshold(THRESHOLD)
+
+
+class MotionStart(Table):
+    """The state in which a mechanism starts; what is left out is that of the plant."""
+
+    position: list[float] | None = key("coordinates (m, rad)", default=None)
+    velocity: list[float] | None = key("their rates (m/s, rad/s)", default=None)
+
+
+class MotionTable(Table):
+    """What a study adds to a mechanism."""
+
+    initial: MotionStart = key("the first state", default=MotionStart())
+
+
+def study(
+    machine: type[Table],
+    plant: Any,
+    velocities: dict[str, str],
+    control: str,
+    *,
+    bound: bool = False,
+) -> Study:
+    """How a mechanism takes part in studies: `plant` is the class of its plant,
+    `velocities` are the units of what is estimated, by name."""
+    return Study(
+        machine=machine,
+        acting=MotionTable,
+        entries=tuple(velocities),
+        units=tuple(velocities.values()),
+        plant=lambda table: plant(**table.model_dump(exclude={"kind", "initial"})),
+        observers=offers.of_mechanism(threshold=THRESHOLD),
+        controls=(control,),
+        bound=bound,
+    )
 
 
 def layout(angles: Sequence[bool], inputs: int, note: str = "") -> Layout:

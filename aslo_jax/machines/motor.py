@@ -1,22 +1,26 @@
-"""What PMSM, stepper and interior PMSM share: columns, rates, the angle of a magnet."""
+"""What motors with magnets share: columns, rates, the angle of the magnet; and all of the
+description of one without saliency."""
 
+import abc
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
 from ..logs import Log, Signals
+from ..plants import AbstractRoundMachine
+from ..schema import NoLoad, NonNegative, Numbers, Positive, Table, WaveTable, key
 from . import keys
 from .base import (
+    AbstractDescription,
     Columns,
     Layout,
     MachineError,
-    Positive,
     Quantity,
     Rate,
     Rates,
-    Table,
+    algebraic,
     certified,
     in_columns,
 )
@@ -53,6 +57,28 @@ class MotorObserver(Table):
     pll_bandwidth: Positive | None = keys.pll_bandwidth()
 
 
+class RotorStart(Table):
+    """The state in which a machine starts; what is left out is that of the plant."""
+
+    flux: Numbers | None = key("flux of the windings", "Wb", default=None)
+    speed: float | None = key("mechanical speed", "rad/s", default=None)
+    angle: float | None = key("mechanical angle", "rad", default=None)
+
+
+class RotorTable(Table):
+    """What acts on a machine that turns, in a study."""
+
+    friction: NonNegative = key("viscous friction", "N m s/rad", default=0.0)
+    load: WaveTable = key("load torque (N m)", default=NoLoad)
+    initial: RotorStart = key("the first state", default=RotorStart())
+
+
+def with_load(plant: Any, table: Any) -> Any:
+    """The machine of a study: of the class `plant`, with friction and load."""
+    settings = table.model_dump(exclude={"kind", "load", "initial"})
+    return plant(**settings, load=table.load.signal())
+
+
 def driving(log: Log, resistance: float) -> Log:
     """A log of the derivative of the flux, `u - R i` (V), alone."""
     v = log.u - resistance * log.y
@@ -62,7 +88,7 @@ def driving(log: Log, resistance: float) -> Log:
 def motor_rates(log: Log | None, stated: Mapping[str, float]) -> Rates:
     """The rates of a motor's observer that are not `stated`, from a log of [`driving`][].
 
-    The loop is sampled by Heun's method, which wants its bandwidth below half of the
+    The loop is sampled by Heun's method, which needs its bandwidth below half of the
     sampling rate: the default gives way to that, a stated bandwidth is refused."""
     rates: Rates = {}
     interval = 0.0 if log is None else float(np.median(np.diff(log.t)))
@@ -102,3 +128,54 @@ def motor_truth(log: Log, pole_pairs: int) -> Columns:
 def flux_of(columns: Columns) -> Float[np.ndarray, "N 2"]:
     """The flux of a table of estimates (Wb)."""
     return np.stack([columns[name] for name in FLUX], axis=1)
+
+
+M = TypeVar("M", bound=Table)
+
+
+class AbstractRoundMotor(AbstractDescription[M, MotorObserver], abc.ABC, Generic[M]):
+    """A motor with a magnet and no saliency: flux, angle and speed from voltages and
+    currents. `[machine]` has the keys `resistance`, `inductance` and `pole_pairs`."""
+
+    observer: MotorObserver = MotorObserver()
+
+    layout = LAYOUT
+    motion = "does the motor turn?"
+    refused: ClassVar = {}
+    longest_interval = LONGEST_INTERVAL
+
+    @abc.abstractmethod
+    def plant(self) -> AbstractRoundMachine:
+        """The motor described by `[machine]`."""
+
+    def default_rates(self, log, stated):
+        return motor_rates(log, stated)
+
+    def condensed(self, log):
+        return driving(log, self._values().resistance)
+
+    def state_observer(self, rates):
+        settings = self.observer
+        return algebraic(
+            self.plant().flux_relation(),
+            rates["cutoff"].value,
+            threshold=settings.threshold,
+            completion=settings.completion,
+            start=settings.start,
+            gain=rates.get("gain"),
+        )
+
+    def columns(self, estimate, log):
+        magnet = np.asarray(estimate.value) - self._values().inductance * log.y
+        return motor_columns(estimate, magnet)
+
+    def truth(self, log):
+        return motor_truth(log, self._values().pole_pairs)
+
+    def residuals(self, columns, log):
+        magnet = flux_of(columns) - self._values().inductance * log.y
+        size = np.linalg.norm(magnet, axis=1)
+        return {"flux": np.abs(size / float(self.plant().magnet_flux) - 1.0)}
+
+    def _values(self) -> Any:
+        return self.machine

@@ -1,12 +1,12 @@
 """`kind = "pmsm"`: the surface-mounted permanent-magnet synchronous motor."""
 
-from typing import ClassVar, Literal
+from typing import Literal
 
-import numpy as np
-
-from ..plants import PMSM
-from . import motor
-from .base import AbstractDescription, Positive, Table, Whole, algebraic, key
+from ..plants import PMSM, FluxRelation
+from ..schema import Positive, Table, Whole, key
+from . import motor, offers
+from .base import Unknowns
+from .study import Study
 
 
 class PMSMTable(Table):
@@ -20,48 +20,33 @@ class PMSMTable(Table):
     inertia: Positive = key("inertia of the rotor", "kg m^2", example=60e-6)
 
 
-class PMSMDescription(AbstractDescription[PMSMTable, motor.MotorObserver]):
+def _relations(plant: PMSM) -> tuple[FluxRelation]:
+    return (plant.flux_relation(),)
+
+
+class PMSMDescription(motor.AbstractRoundMotor[PMSMTable]):
     """A surface-mounted PMSM: flux, angle and speed from stator voltages and currents."""
 
     machine: PMSMTable
-    observer: motor.MotorObserver = motor.MotorObserver()
 
     kind = "pmsm"
     title = "Surface-mounted PMSM"
-    layout = motor.LAYOUT
-    motion = "does the motor turn?"
     residual = "| |flux - L i| / magnet flux - 1 |"
-    refused: ClassVar = {}
-    longest_interval = motor.LONGEST_INTERVAL
+    unknowns = Unknowns(("resistance", "inductance", "magnet_flux"))
+    study = Study(
+        machine=PMSMTable,
+        acting=motor.RotorTable,
+        entries=("flux_alpha", "flux_beta"),
+        units=("Wb", "Wb"),
+        plant=lambda table: motor.with_load(PMSM, table),
+        observers=offers.algebraic(_relations)
+        | offers.integrator(_relations)
+        | offers.mixing(_relations)
+        | offers.of_round_motor(),
+        controls=("field_oriented",),
+        metrics=("angle", "peak_angle"),
+        bound=True,
+    )
 
     def plant(self):
         return PMSM(**self.machine.model_dump(exclude={"kind"}))
-
-    def default_rates(self, log, stated):
-        return motor.motor_rates(log, stated)
-
-    def condensed(self, log):
-        return motor.driving(log, self.machine.resistance)
-
-    def state_observer(self, rates):
-        settings = self.observer
-        return algebraic(
-            self.plant().flux_relation(),
-            rates["cutoff"].value,
-            threshold=settings.threshold,
-            completion=settings.completion,
-            start=settings.start,
-            gain=rates.get("gain"),
-        )
-
-    def columns(self, estimate, log):
-        magnet = np.asarray(estimate.value) - self.machine.inductance * log.y
-        return motor.motor_columns(estimate, magnet)
-
-    def truth(self, log):
-        return motor.motor_truth(log, self.machine.pole_pairs)
-
-    def residuals(self, columns, log):
-        magnet = motor.flux_of(columns) - self.machine.inductance * log.y
-        size = np.linalg.norm(magnet, axis=1)
-        return {"flux": np.abs(size / self.machine.magnet_flux - 1.0)}

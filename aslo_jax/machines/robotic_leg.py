@@ -3,8 +3,9 @@
 from typing import Literal
 
 from ..plants import RoboticLeg
-from .base import Positive, Table, key
-from .mechanism import AbstractMechanism, Three, layout
+from ..schema import Positive, Table, key
+from .base import Unknowns
+from .mechanism import AbstractMechanism, Three, layout, study
 
 
 class RoboticLegTable(Table):
@@ -33,6 +34,14 @@ class RoboticLegDescription(AbstractMechanism[RoboticLegTable]):
         2,
         "q1 length, q2 angle of the leg, q3 of the body; u1 along the leg, u2 between leg "
         "and body",
+    )
+    unknowns = Unknowns(("m1", "m2", "damping"))
+    study = study(
+        RoboticLegTable,
+        RoboticLeg,
+        {"length": "m/s", "leg": "rad/s", "body": "rad/s"},
+        "tracking",
+        bound=True,
     )
 
     def plant(self):

@@ -1,12 +1,11 @@
 """`kind = "stepper"`: the two-phase permanent-magnet stepper motor."""
 
-from typing import ClassVar, Literal
-
-import numpy as np
+from typing import Literal
 
 from ..plants import Stepper
+from ..schema import Positive, Table, Whole, key
 from . import motor
-from .base import AbstractDescription, Positive, Table, Whole, algebraic, key
+from .base import Unknowns
 
 
 class StepperTable(Table):
@@ -24,48 +23,15 @@ class StepperTable(Table):
     inertia: Positive = key("inertia of the rotor", "kg m^2", example=4.5e-5)
 
 
-class StepperDescription(AbstractDescription[StepperTable, motor.MotorObserver]):
+class StepperDescription(motor.AbstractRoundMotor[StepperTable]):
     """A two-phase stepper: fluxes, angle and speed from phase voltages and currents."""
 
     machine: StepperTable
-    observer: motor.MotorObserver = motor.MotorObserver()
 
     kind = "stepper"
     title = "Two-phase stepper"
-    layout = motor.LAYOUT
-    motion = "does the motor turn?"
     residual = "| |flux - L i| / (torque constant / pole pairs) - 1 |"
-    refused: ClassVar = {}
-    longest_interval = motor.LONGEST_INTERVAL
+    unknowns = Unknowns(("resistance", "inductance", "torque_constant"))
 
     def plant(self):
         return Stepper(**self.machine.model_dump(exclude={"kind"}))
-
-    def default_rates(self, log, stated):
-        return motor.motor_rates(log, stated)
-
-    def condensed(self, log):
-        return motor.driving(log, self.machine.resistance)
-
-    def state_observer(self, rates):
-        settings = self.observer
-        return algebraic(
-            self.plant().flux_relation(),
-            rates["cutoff"].value,
-            threshold=settings.threshold,
-            completion=settings.completion,
-            start=settings.start,
-            gain=rates.get("gain"),
-        )
-
-    def columns(self, estimate, log):
-        magnet = np.asarray(estimate.value) - self.machine.inductance * log.y
-        return motor.motor_columns(estimate, magnet)
-
-    def truth(self, log):
-        return motor.motor_truth(log, self.machine.pole_pairs)
-
-    def residuals(self, columns, log):
-        magnet = motor.flux_of(columns) - self.machine.inductance * log.y
-        size = np.linalg.norm(magnet, axis=1)
-        return {"flux": np.abs(size / float(self.plant().magnet_flux) - 1.0)}

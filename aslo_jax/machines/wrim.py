@@ -8,24 +8,23 @@ from pydantic import model_validator
 
 from ..logs import Log, Signals
 from ..observers import SideBySide
-from ..plants import WRIM
-from . import keys
+from ..plants import WRIM, WindingFluxRelation
+from ..schema import Positive, Table, Whole, key
+from . import keys, motor, offers
 from .base import (
     AbstractDescription,
     Layout,
-    Positive,
     Quantity,
     Rate,
-    Table,
-    Whole,
+    Unknowns,
     algebraic,
     certified,
     in_columns,
-    key,
     length,
     relative,
 )
 from .speed import cutoff_for, turning_speed
+from .study import Study
 
 NO_ANGLE = "the table has no angle that a phase-locked loop could follow; remove it"
 STATOR, ROTOR = ("flux_s_alpha", "flux_s_beta"), ("flux_r_alpha", "flux_r_beta")
@@ -60,7 +59,7 @@ class WRIMObserver(Table):
     """`[observer]` of a wound-rotor induction machine, all optional.
 
     Fluxes turn at the frequency of the supply in the stator's frame and at that of the slip
-    in the rotor's, hence a cutoff each.
+    in the rotor's, so each has a cutoff.
     """
 
     cutoff: Positive | None = keys.cutoff("from the log, for each winding")
@@ -74,6 +73,10 @@ class WRIMObserver(Table):
     start: keys.Start = keys.start()
     gain: Positive | None = keys.gain()
     threshold: Positive = keys.threshold()
+
+
+def _relations(machine: WRIM) -> tuple[WindingFluxRelation, WindingFluxRelation]:
+    return machine.flux_relation("stator"), machine.flux_relation("rotor")
 
 
 class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
@@ -103,6 +106,26 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
     residual = "| |flux_k - L_k i_k| - L_sr |i_other| | / |flux_k|"
     refused: ClassVar = {"pll_bandwidth": NO_ANGLE}
     longest_interval = 5e-3
+    unknowns = Unknowns(
+        (
+            "stator_resistance",
+            "rotor_resistance",
+            "stator_inductance",
+            "rotor_inductance",
+            "mutual_inductance",
+        )
+    )
+    study = Study(
+        machine=WRIMTable,
+        acting=motor.RotorTable,
+        entries=(*STATOR, *ROTOR),
+        units=("Wb",) * 4,
+        plant=lambda table: motor.with_load(WRIM, table),
+        observers=offers.algebraic(_relations)
+        | offers.integrator(_relations)
+        | offers.mixing(_relations),
+        controls=("open_loop",),
+    )
 
     def plant(self):
         return WRIM(**self.machine.model_dump(exclude={"kind"}))

@@ -9,7 +9,7 @@ from .._small import safe_reciprocal
 from ..completions import AbstractCompletion, LeastSquares
 from ..filters import AbstractFilter, check_filter
 from ..guard import Guard
-from ..plants.pmsm import FluxRelation
+from ..plants import FluxRelation
 from ..realise import Pass
 from ..relations import Row, terms_of
 from .base import AbstractObserver, Estimate

@@ -31,7 +31,7 @@ class BearingObserver(AbstractObserver):
     from there on, and fading out while the fluxes coast. An outer force is not known to
     the observer; it leaves an error of `force/(mass rate)` in the velocity.
 
-    The certificate is the lesser one of fluxes and velocity, and the estimate coasts if
+    The certificate is the smaller one of fluxes and velocity, and the estimate coasts if
     either does.
 
     Source: theory, section 2 (rate relation with a weight, magnetic bearing).

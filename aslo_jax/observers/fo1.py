@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from .._checks import known_start, optional_real, positive, real
 from ..filters import AbstractFilter, AbstractLaw, check_filter
-from ..plants.pmsm import FluxRelation
+from ..plants import FluxRelation
 from ..realise import Pass
 from ._relaxation import relaxation
 from .base import AbstractObserver, Estimate

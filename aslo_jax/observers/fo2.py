@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from .._checks import optional_real, positive, real
 from .._small import safe_rsqrt
 from ..filters import AbstractLaw
-from ..plants.pmsm import FluxRelation
+from ..plants import FluxRelation
 from ..realise import Pass
 from ._relaxation import relaxation
 from .base import AbstractObserver, Estimate

@@ -30,7 +30,7 @@ class MomentumRelation(eqx.Module):
     - friction r(q) that varies with position: `x = m q_j'`, `x' = -(r/m) x + f`. Its filter
       must be faster than `r/m` (1/s).
 
-    `relation(u, (q, velocity))` wants the velocities that f depends on, those of the
+    `relation(u, (q, velocity))` needs the velocities that f depends on, those of the
     coordinates whose inertia depends on this one; the other entries do not matter.
 
     Source: paper, Props 4 and 5 and section 4.3; theory, section 5.

@@ -13,6 +13,11 @@ from .interior_pmsm import (
     SelfConsistentFluxRelation as SelfConsistentFluxRelation,
 )
 from .machine import AbstractMachine as AbstractMachine, MachineState as MachineState
+from .magnet import (
+    AbstractMagnetMachine as AbstractMagnetMachine,
+    AbstractRoundMachine as AbstractRoundMachine,
+    FluxRelation as FluxRelation,
+)
 from .mechanical import (
     AbstractMechanicalSystem as AbstractMechanicalSystem,
     MechanicalState as MechanicalState,
@@ -25,6 +30,6 @@ from .mechanisms import (
     RoboticLeg as RoboticLeg,
     VariableLengthPendulum as VariableLengthPendulum,
 )
-from .pmsm import PMSM as PMSM, FluxRelation as FluxRelation
+from .pmsm import PMSM as PMSM
 from .stepper import Stepper as Stepper
 from .wrim import WRIM as WRIM, WindingFluxRelation as WindingFluxRelation

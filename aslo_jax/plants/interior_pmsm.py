@@ -7,10 +7,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import positive, real, whole
+from .._checks import positive, real
 from .._small import safe_rsqrt
 from ..relations import Quadratic
-from .machine import AbstractMachine, direction, no_load
+from .machine import direction, no_load
+from .magnet import AbstractMagnetMachine
 
 
 class SalientFluxRelation(eqx.Module):
@@ -80,7 +81,7 @@ class SelfConsistentFluxRelation(eqx.Module):
         return relation.terms(u, y, m * (m + saliency * direct))
 
 
-class InteriorPMSM(AbstractMachine):
+class InteriorPMSM(AbstractMagnetMachine):
     """A salient PMSM: input u the stator voltage (V), output the stator current (A), hidden
     part the stator flux (Wb), each of shape `(2,)`.
 
@@ -103,12 +104,9 @@ class InteriorPMSM(AbstractMachine):
     torque_factor: Float[Array, ""] = eqx.field(converter=real, default=1.5)
 
     def __check_init__(self):
-        positive("resistance", self.resistance, "ohm")
         positive("direct_inductance", self.direct_inductance, "H")
         positive("quadrature_inductance", self.quadrature_inductance, "H")
         positive("magnet_flux", self.magnet_flux, "Wb")
-        positive("inertia", self.inertia, "kg m^2")
-        whole("pole_pairs", self.pole_pairs)
 
     @classmethod
     def motulator_2200w(cls, **changes: Any) -> "InteriorPMSM":
@@ -130,12 +128,6 @@ class InteriorPMSM(AbstractMachine):
         mean, half = 0.5 * (Ld + Lq), 0.5 * (Ld - Lq)
         a, b = half * direction(2.0 * theta)
         return jnp.stack([jnp.stack([mean + a, b]), jnp.stack([b, mean - a])])
-
-    def magnet(self, theta):
-        return self.magnet_flux * direction(theta)
-
-    def flux_rate(self, u, y):
-        return u - self.resistance * y
 
     def detent(self, theta):
         return jnp.zeros_like(theta)

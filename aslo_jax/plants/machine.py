@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._checks import positive, whole
 from .._small import solve_definite
 from ..relations import contract
 from .base import AbstractPlant
@@ -54,6 +55,11 @@ class AbstractMachine(AbstractPlant):
     friction: eqx.AbstractVar[Float[Array, ""]]
     load: eqx.AbstractVar[Callable[[Float[Array, ""]], Float[Array, ""]]]
     torque_factor: eqx.AbstractVar[Float[Array, ""]]
+
+    def __check_init__(self):
+        # Equinox calls this after the checks of the final class.
+        positive("inertia", self.inertia, "kg m^2")
+        whole("pole_pairs", self.pole_pairs)
 
     @abc.abstractmethod
     def inductances(self, theta: Float[Array, ""]) -> Inductance:

@@ -7,38 +7,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import positive, real, whole
-from ..relations import Quadratic
-from .machine import AbstractMachine, direction, no_load
+from .._checks import positive, real
+from .machine import no_load
+from .magnet import AbstractRoundMachine
 
 
-class FluxRelation(eqx.Module):
-    """`|phi - L i|^2 = m^2`: the stator flux phi (Wb) from stator voltage u (V) and stator
-    current i (A), all of shape `(2,)`, in the stationary amplitude-invariant frame. Of any
-    motor with round magnets and no saliency: PMSM, two-phase stepper.
-
-    - `resistance` (ohm), `inductance` (H);
-    - `magnet_flux` (Wb): not needed, since a constant drops out; it enters only the
-      transient of the paper's start.
-
-    Source: paper, Prop. 2, z1 to z3; theory, section 2.
-    """
-
-    resistance: Float[Array, ""] = eqx.field(converter=real)
-    inductance: Float[Array, ""] = eqx.field(converter=real)
-    magnet_flux: Float[Array, ""] = eqx.field(converter=real, default=0.0)
-
-    def __call__(self, u: Float[Array, " 2"], y: Float[Array, " 2"]) -> Quadratic:
-        L, m = self.inductance, self.magnet_flux
-        return Quadratic(
-            Q=1.0 / L,
-            c=y,
-            d=0.5 * (m * m / L - L * jnp.sum(y * y)),
-            z=u - self.resistance * y,
-        )
-
-
-class PMSM(AbstractMachine):
+class PMSM(AbstractRoundMachine):
     """A non-salient PMSM: input u the stator voltage (V), output the stator current (A),
     hidden part the stator flux (Wb), each of shape `(2,)`.
 
@@ -62,11 +36,7 @@ class PMSM(AbstractMachine):
     torque_factor: Float[Array, ""] = eqx.field(converter=real, default=1.5)
 
     def __check_init__(self):
-        positive("resistance", self.resistance, "ohm")
-        positive("inductance", self.inductance, "H")
         positive("magnet_flux", self.magnet_flux, "Wb")
-        positive("inertia", self.inertia, "kg m^2")
-        whole("pole_pairs", self.pole_pairs)
 
     @classmethod
     def bmp0701f(cls, **changes: Any) -> "PMSM":
@@ -80,18 +50,5 @@ class PMSM(AbstractMachine):
         )
         return cls(**(table | changes))
 
-    def inductances(self, theta):
-        return self.inductance
-
-    def magnet(self, theta):
-        return self.magnet_flux * direction(theta)
-
-    def flux_rate(self, u, y):
-        return u - self.resistance * y
-
     def detent(self, theta):
         return jnp.zeros_like(theta)
-
-    def flux_relation(self) -> FluxRelation:
-        """The quadratic relation of the stator flux, for an observer."""
-        return FluxRelation(self.resistance, self.inductance, self.magnet_flux)

@@ -7,12 +7,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import positive, real, whole
-from .machine import AbstractMachine, direction, no_load
-from .pmsm import FluxRelation
+from .._checks import positive, real
+from .machine import no_load
+from .magnet import AbstractRoundMachine
 
 
-class Stepper(AbstractMachine):
+class Stepper(AbstractRoundMachine):
     """A two-phase PM or hybrid stepper: input u the phase voltages (V), output the phase
     currents (A), hidden part the phase fluxes (Wb), each of shape `(2,)`. It is a PMSM with
     magnet flux `torque_constant / pole_pairs`.
@@ -41,11 +41,7 @@ class Stepper(AbstractMachine):
     torque_factor: Float[Array, ""] = eqx.field(converter=real, default=1.0)
 
     def __check_init__(self):
-        positive("resistance", self.resistance, "ohm")
-        positive("inductance", self.inductance, "H")
         positive("torque_constant", self.torque_constant, "N m/A")
-        positive("inertia", self.inertia, "kg m^2")
-        whole("pole_pairs", self.pole_pairs)
 
     @classmethod
     def bodson(cls, **changes: Any) -> "Stepper":
@@ -64,22 +60,9 @@ class Stepper(AbstractMachine):
         return cls(**(table | changes))
 
     @property
-    def magnet_flux(self) -> Float[Array, ""]:
+    def magnet_flux(self) -> Float[Array, ""]:  # pyright: ignore[reportIncompatibleVariableOverride]
         """What the magnet links with a phase (Wb)."""
         return self.torque_constant / self.pole_pairs
 
-    def inductances(self, theta):
-        return self.inductance
-
-    def magnet(self, theta):
-        return self.magnet_flux * direction(theta)
-
-    def flux_rate(self, u, y):
-        return u - self.resistance * y
-
     def detent(self, theta):
         return -self.detent_torque * jnp.sin(4.0 * theta)
-
-    def flux_relation(self) -> FluxRelation:
-        """The quadratic relation of the phase fluxes, for an observer."""
-        return FluxRelation(self.resistance, self.inductance, self.magnet_flux)

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import positive, real, whole
+from .._checks import positive, real
 from ..relations import Quadratic
 from .machine import AbstractMachine, direction, no_load
 
@@ -93,8 +93,6 @@ class WRIM(AbstractMachine):
         positive(
             "stator_inductance * rotor_inductance - mutual_inductance^2", leakage, "H^2"
         )
-        positive("inertia", self.inertia, "kg m^2")
-        whole("pole_pairs", self.pole_pairs)
 
     @classmethod
     def dfig_2mw(cls, **changes: Any) -> "WRIM":

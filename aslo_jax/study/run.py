@@ -72,7 +72,7 @@ def run(
     `error`.
 
     **Raises:** `ValueError` for arguments that do not fit, and for a store that is damaged,
-    foreign, or of other settings; it is left as it is.
+    not of a study, or of other settings; it is left as it is.
     """
     if store is not None and not resume:
         refuse_taken(Path(store))  # before anything that takes time

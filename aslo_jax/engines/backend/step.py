@@ -138,7 +138,7 @@ class Way(NamedTuple):
 
 class Step:
     """A body for `width` lanes at a time, on a target: how it and its alternatives make
-    their vectors, in the order that promises to be faster, or in that with the number
+    their vectors, in the order that should be faster, or in that with the number
     `order`. The instruction `group` with the result `Part(-1, k)` is the k-th group of the
     body."""
 
@@ -203,7 +203,7 @@ class Step:
 
 
 def chosen(loop: Loop, widths: Sequence[int], target: Target) -> Step:
-    """A step for so many lanes at a time, and in that order, that one lane promises to take
+    """A step for so many lanes at a time, and in that order, that one lane should take
     the fewest cycles. No bits depend on it."""
     body, best = Body(loop), None
     fitting = [w for w in widths if w * body.lane_bytes <= CACHE] or [min(widths)]

@@ -13,7 +13,7 @@ class Target(NamedTuple):
     - `rate`: events that begin in a cycle at most, none before the one so many `ahead` of
       it has ended; `products` and `loads`: of these in a cycle at most (`cost`);
     - `decoded`: instructions of a step that the processor keeps decoded: of more, which it
-      decodes anew in every step, so many are `fetched` in a cycle; `cache`: bytes of
+      decodes again in every step, so many are `fetched` in a cycle; `cache`: bytes of
       its first-level cache of data;
     - `features`: of LLVM, on top of those of the host that compiles.
     """

@@ -1,5 +1,5 @@
 """Products of large matrices, and functions of many entries, as operations that a kernel
-does in loops: so many scalar ones would take long to compile, and be read from memory anew
+does in loops: so many scalar ones would take long to compile, and be read from memory again
 in each step."""
 
 from collections.abc import Callable, Iterator, Sequence

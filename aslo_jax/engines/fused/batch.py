@@ -171,7 +171,7 @@ class Fused:
         if self.plan is None:
             raise NotImplementedError(
                 "A runner of the fused engine that was sent to another process has values "
-                'only: there, make it anew for derivatives, or with engine="scan".'
+                'only: there, make another one for derivatives, or with engine="scan".'
             )
         push = Derivative(self.plan, self.made, self.sample, self.program, moved)
         push.program(1, widths())  # what cannot be compiled is refused here

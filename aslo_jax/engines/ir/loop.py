@@ -46,7 +46,7 @@ class Loop:
 
     `begin` holds the nodes of the first carry, functions of what is constant in time, and
     `carry` those of the next one. `first`, none or as many as `record`, is written before
-    the first step, and `record` at every so manyth one. `final` is what the last carry
+    the first step, and `record` after every n-th one. `final` is what the last carry
     leaves: functions of it and of what is constant in time. `tables` make the inputs
     `("time", i)`.
 

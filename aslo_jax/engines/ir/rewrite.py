@@ -68,7 +68,7 @@ def mapped(loop: Loop, found: Mapping[int, int]) -> Loop:
 
 
 def pruned(loop: Loop) -> Loop:
-    """Without the entries of the carry that nothing needs, the others numbered anew, and
+    """Without the entries of the carry that nothing needs, the others numbered again, and
     without the branches that no next carry depends on."""
     graph, whole = loop.graph, set(loop.graph.reachable(list(loop.carry)))
     branches = dict.fromkeys(n for n in loop.branches if n in whole)

@@ -4,7 +4,7 @@ lanes through many steps, its vectors explicit.
 What a step reads lies in a frame of memory: the carry, twice, since a step reads one half
 and writes the other, constants, what varies over lanes only, and values that wait
 (`spilling`). LLVM would load a place once, keep what it found, and store that elsewhere
-for want of registers. Hence a step takes turns with several pointers to the frame, of which
+for lack of registers. So a step takes turns with several pointers to the frame, of which
 LLVM does not know that they are the same.
 """
 
@@ -35,7 +35,7 @@ def emit(step: Step) -> Emitted:
     steps, i64 every, ptr table, ptr memory)`.
 
     It runs the lanes first to last - 1 of `lanes`, all three multiples of the step's width,
-    through `*steps` steps, read anew before each of them: a negative number that another
+    through `*steps` steps, read again before each of them: a negative number that another
     thread writes there ends the run. `table` holds one pointer for each of the loop's
     slots. `memory` is for the frame where that is larger than what is left to the stack,
     begins at a multiple of 64 and is one for each call.
@@ -245,7 +245,7 @@ class _Kernel:
         return mask
 
     def _record(self, made: Vectors, suffix: str) -> None:
-        """At every so manyth step: what only the records need, and the records."""
+        """After every n-th step: what only the records need, and the records."""
         self.out.label(f"record{suffix}")
         self.values.vectors = dict(self.invariant)
         for slot, number in self.inputs.items():

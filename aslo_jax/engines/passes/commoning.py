@@ -15,7 +15,7 @@ from .unswitching import always
 
 # Operations that a value must take to be worth a place in memory, and those of some.
 WORTH = 3
-DEAR = {"div": 8, "sqrt": 8}
+COSTLY = {"div": 8, "sqrt": 8}
 
 
 def kept(loop: Loop) -> Loop:
@@ -69,7 +69,7 @@ def _later(loop: Loop, step: list[int]) -> dict[int, int]:
 def _of_chosen(
     loop: Loop, step: list[int], known: set[int], worth: dict[int, int]
 ) -> dict[int, int]:
-    """The same for dear functions of a single entry of the carry that a step chooses from
+    """The same for costly functions of a single entry of the carry that a step chooses from
     two values, where it has computed the function of both: the choice of these."""
     graph, later = loop.graph, {}
     only: dict[int, int | None] = {}  # the one entry, none (-1), or several (None)
@@ -83,7 +83,7 @@ def _of_chosen(
             only[number] = found.pop() if len(found) == 1 else None if found else -1
     for number in step:
         i = only[number]
-        if i is None or i < 0 or worth[number] < DEAR["div"]:
+        if i is None or i < 0 or worth[number] < COSTLY["div"]:
             continue
         choice = graph.nodes[loop.carry[i]]
         if choice.op == "select":
@@ -103,7 +103,7 @@ def _work(graph: Graph, step: list[int]) -> dict[int, int]:
         if node.op in ("const", "input"):
             work[number] = 0
         else:
-            total = DEAR.get(node.op, 1) + sum(work[a] for a in set(node.args))
+            total = COSTLY.get(node.op, 1) + sum(work[a] for a in set(node.args))
             work[number] = min(total, 1000)
     return work
 

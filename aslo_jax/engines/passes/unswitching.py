@@ -1,4 +1,4 @@
-"""A body for what a step usually does, and one for what it seldom does (loop unswitching):
+"""A body for what a step usually does, and one for what it rarely does (loop unswitching):
 what only the latter needs takes no time in the former."""
 
 import dataclasses
@@ -15,7 +15,7 @@ SHARE = 0.2
 LEAST = 40
 LOOPED = ("dot", "call")
 TRIALS = 16  # of branches, each of which takes two rewritings
-DEAR = {"div": 8, "sqrt": 8, "table": 8}  # operations that take as long as some
+COSTLY = {"div": 8, "sqrt": 8, "table": 8}  # operations that take as long as some
 
 
 def unswitched(loop: Loop) -> Loop:
@@ -66,4 +66,4 @@ def _usual(loop: Loop, switches: list[Switch], moving: set[int]) -> int:
 
 def _work(graph: Graph, numbers: set[int]) -> int:
     ops = (graph.nodes[n].op for n in numbers)
-    return sum(DEAR.get(op, 1) for op in ops if op not in ("const", "input"))
+    return sum(COSTLY.get(op, 1) for op in ops if op not in ("const", "input"))

@@ -24,8 +24,7 @@ from ...disturbances import SampledNoise
 from ...experiment import Experiment
 from ...filters import LowPass
 from ...observers import AbstractObserver, AlgebraicMagnet, Estimate
-from ...plants import PMSM, MachineState
-from ...plants.pmsm import FluxRelation
+from ...plants import PMSM, FluxRelation, MachineState
 from ...realise import Pass
 from ...relations import swap
 from ..batch import one_by_one

@@ -2,7 +2,7 @@
 true motion, so that no observer has a part in what it is judged by."""
 
 import math
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import equinox as eqx
 from pydantic import Field
@@ -18,8 +18,7 @@ from ...control import (
     OpenLoop,
     Tracking,
 )
-from ...machines.base import Positive, Table, key
-from .signals import Signal, WaveTable
+from ...schema import Positive, Signal, Table, WaveTable, key
 
 
 class MotorEncoder(eqx.Module):
@@ -54,8 +53,6 @@ class OpenLoopTable(Table):
     kind: Literal["open_loop"] = key("the kind of control")
     signal: Signal = key("the input")
 
-    machines: ClassVar = ("double_integrator", "wrim")
-
     def build(self, plant: Any) -> tuple[AbstractController, Any]:
         del plant
         return OpenLoop(self.signal.signal()), None
@@ -71,8 +68,6 @@ class FieldOrientedTable(Table):
     current_bandwidth: Positive = key("of the currents", "rad/s", default=2000.0)
     speed_bandwidth: Positive = key("of the speed", "rad/s", default=300.0)
 
-    machines: ClassVar = ("pmsm",)
-
     def build(self, plant: Any) -> tuple[AbstractController, Any]:
         settings = self.model_dump(exclude={"kind", "reference"})
         controller = FieldOriented(plant, self.reference.signal(), **settings)
@@ -86,8 +81,6 @@ class TrackingTable(Table):
     reference: WaveTable = key("the wanted coordinates (m, rad)")
     tracked: list[int] = key("which coordinates, counted from 0")
     bandwidth: Positive = key("of the tracking", "rad/s", default=5.0)
-
-    machines: ClassVar = ("robotic_leg",)
 
     def build(self, plant: Any) -> tuple[AbstractController, Any]:
         controller = Tracking(
@@ -104,8 +97,6 @@ class BallBeamTrackingTable(Table):
     bandwidth: Positive = key("of the ball", "rad/s", default=1.5)
     beam_bandwidth: Positive = key("of the beam", "rad/s", default=12.0)
     tilt: Positive = key("the largest angle asked for", "rad", default=0.5)
-
-    machines: ClassVar = ("ball_beam",)
 
     def build(self, plant: Any) -> tuple[AbstractController, Any]:
         settings = self.model_dump(exclude={"kind", "reference"})
@@ -124,8 +115,6 @@ class LevitationTable(Table):
     ripple: float = key("amplitude of a voltage that excites", "V", default=0.0)
     ripple_frequency: Positive = key("its frequency", "rad/s", default=3000.0)
     ripple_phase: float = key("of coil 2 ahead of 1", "rad", default=math.pi / 2)
-
-    machines: ClassVar = ("magnetic_bearing",)
 
     def build(self, plant: Any) -> tuple[AbstractController, Any]:
         settings = self.model_dump(exclude={"kind", "reference"})

@@ -10,9 +10,7 @@ from pydantic import Field
 
 from ... import disturbances, random
 from ...disturbances import AbstractDisturbance
-from ...machines.base import Positive, Table, Whole, key
-from .machines import NonNegative
-from .signals import Numbers
+from ...schema import NonNegative, Numbers, Positive, Table, Whole, key
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Several = NonNegative | Annotated[list[NonNegative], Field(min_length=1)]

@@ -1,24 +1,25 @@
 """The file of a study as a whole, and what it describes."""
 
+import abc
 import dataclasses
+import functools
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Union
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, create_model
 
 from ..._studies import NAMES
 from ...experiment import Experiment
-from ...machines.base import Positive, Table, Whole, key
+from ...machines import Study, studies
+from ...schema import Positive, Table, Whole, explain, key, read_toml
 from ..problem import MakeMetric
 from ..spread import Spread
 from .control import Control
 from .disturbances import Disturbance, chained
-from .explain import explain
-from .machines import Machine
 from .metrics import Metric
 from .observers import Observer
 from .spread import SpreadItem, parameter
@@ -28,19 +29,22 @@ class ConfigurationError(ValueError):
     """A study's file that cannot be used: names file, key and allowed values."""
 
 
-class StudyTable(Table):
-    """The file of a study."""
+class AbstractStudyTable(Table, abc.ABC):
+    """The file of a study, of whatever machine; see [`study_table`][]."""
 
     title: str = key("what the study is about")
     interval: Positive = key("between samples in time", "s")
     horizon: Positive = key("how long a trajectory is", "s")
     plant_steps: Whole = key("Runge-Kutta steps in each interval", default=1)
-    every: Whole | None = key("keep the error of every so many samples", default=None)
+    every: Whole | None = key(
+        "keep the error of one in this many samples",
+        default=None,
+    )
     scale: list[Positive] | None = key(
         "what each entry of the error is divided by in its norm", default=None
     )
     design: Literal["iid", "lhs", "sobol"] = key("the design", default="iid")
-    machine: Machine = key("the machine")
+    machine: Any = key("the machine")
     control: Control = key("its control")
     observers: Annotated[dict[str, Observer], Field(min_length=1)] = key(
         "the observers", allowed="a table with a table for each observer"
@@ -52,6 +56,23 @@ class StudyTable(Table):
     metrics: Annotated[dict[str, Metric], Field(min_length=1)] = key(
         "what is measured", allowed="a table with a table for each metric"
     )
+
+
+def study_table() -> type[AbstractStudyTable]:
+    """The file of a study, whose machine is of one of the kinds that are registered."""
+    return _study_table(tuple(studies().values()))
+
+
+@functools.lru_cache(maxsize=8)  # tuning reads a file many times
+def _study_table(kinds: tuple[Study, ...]) -> type[AbstractStudyTable]:
+    tables = [
+        # The keys of the machine come first, with the checks of their table.
+        create_model(each.machine.__name__, __base__=(each.acting, each.machine))
+        for each in kinds
+    ]
+    machine: Any = Annotated[Union[tuple(tables)], Field(discriminator="kind")]  # noqa: UP007
+    field: Any = (machine, key("the machine"))
+    return create_model("StudyTable", __base__=AbstractStudyTable, machine=field)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,40 +120,39 @@ def read_configuration(path: Path | str) -> Configuration:
     name, path = str(path), Path(path)
     if name in NAMES:
         text = (files("aslo_jax.study") / "configs" / f"{name}.toml").read_text("utf-8")
+        content = tomllib.loads(text)
     elif path.is_file():
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-        except UnicodeDecodeError as error:
-            raise ConfigurationError(f"{path} is not valid TOML: {error}") from error
+        content = read_toml(path, ConfigurationError)
     else:
         raise FileNotFoundError(
             f"{name} is neither a file nor a ready-made study; those are "
             f"{', '.join(NAMES)}."
         )
     try:
-        return configure(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(f"{name} is not valid TOML: {error}") from error
+        return configure(content)
     except ConfigurationError as error:
         raise ConfigurationError(f"{name}: {error}") from None
 
 
 def configure(content: Mapping[str, Any]) -> Configuration:
     """What the content of a study's file describes; see [`read_configuration`][]."""
+    model = study_table()
     try:
-        table = StudyTable.model_validate(content)
+        table = model.model_validate(content)
         return _configured(table)
     except ValidationError as error:
-        raise ConfigurationError(f"{explain(StudyTable, error, content)}.") from None
+        raise ConfigurationError(f"{explain(model, error, content)}.") from None
 
 
-def _configured(table: StudyTable) -> Configuration:
+def _configured(table: AbstractStudyTable) -> Configuration:
     kind = table.machine.kind
-    _suits(kind, "control", table.control)
+    study = studies()[kind]
+    _suits(kind, "control", table.control, lambda study: study.controls)
     for name, each in table.observers.items():
-        _suits(kind, f"observers.{name}", each)
+        _suits(kind, f"observers.{name}", each, lambda study: study.observers)
     for name, each in table.metrics.items():
-        _suits(kind, f"metrics.{name}", each)
+        if not each.general:
+            _suits(kind, f"metrics.{name}", each, lambda study: study.metrics)
     for place in ("sensor", "input_sensor", "actuator"):
         for k, each in enumerate(getattr(table, place)):
             if place not in each.places:
@@ -150,14 +170,14 @@ def _configured(table: StudyTable) -> Configuration:
         raise ConfigurationError(
             f"`every` must divide the {steps} samples of the horizon, but is {table.every}."
         )
-    entries, units = table.machine.entries, table.machine.units
+    entries, units = study.entries, study.units
     if table.scale is not None and len(table.scale) != len(entries):
         raise ConfigurationError(
             f"`scale` must hold {len(entries)} numbers, for {', '.join(entries)}, but is "
             f"{table.scale!r}."
         )
     try:
-        experiment = _experiment(table)
+        experiment = _experiment(table, study)
         spread = Spread({n: parameter(t) for n, t in table.spread.items()}, table.design)
         metrics = {n: t.build(experiment.plant) for n, t in table.metrics.items()}
     except ValueError as error:
@@ -178,21 +198,25 @@ def _configured(table: StudyTable) -> Configuration:
     )
 
 
-def _suits(kind: str, path: str, table: Any) -> None:
-    if table.machines is not None and kind not in table.machines:
+def _suits(
+    kind: str, path: str, table: Any, offered: Callable[[Study], Collection[str]]
+) -> None:
+    """Refuse a table of a kind that is not `offered` for this kind of machine."""
+    owners = [name for name, study in studies().items() if table.kind in offered(study)]
+    if kind not in owners:
         raise ConfigurationError(
-            f'`{path}.kind`, "{table.kind}", is for {_listed(table.machines)}, but '
+            f'`{path}.kind`, "{table.kind}", is for {_listed(owners)}, but '
             f'`machine.kind` is "{kind}".'
         )
 
 
-def _listed(names: tuple[str, ...]) -> str:
-    return " or ".join(f'"{name}"' for name in names)
+def _listed(names: Sequence[str]) -> str:
+    return " or ".join(f'"{name}"' for name in names) or "no machine"
 
 
-def _experiment(table: StudyTable) -> Experiment:
-    plant = table.machine.plant()
-    start = table.machine.start(plant)
+def _experiment(table: AbstractStudyTable, study: Study) -> Experiment:
+    plant = study.plant(table.machine)
+    start = study.start(plant, table.machine)
     controller, feedback = table.control.build(plant)
     known = plant.initial() if start is None else start
     # Streams of random numbers that differ throughout the loop.
@@ -201,7 +225,7 @@ def _experiment(table: StudyTable) -> Experiment:
     return Experiment(
         plant,
         controller,
-        {name: each.build(plant, known) for name, each in table.observers.items()},
+        {n: _observer(study, n, t, plant, known) for n, t in table.observers.items()},
         table.interval,
         feedback=feedback,
         sensor=chained(table.sensor, table.interval, 0),
@@ -210,3 +234,11 @@ def _experiment(table: StudyTable) -> Experiment:
         initial=start,
         plant_steps=table.plant_steps,
     )
+
+
+def _observer(study: Study, name: str, keys: Any, plant: Any, start: Any):
+    try:
+        return study.observers[keys.kind](keys, plant, start)
+    except ValueError as error:
+        text = str(error).removesuffix(".")
+        raise ConfigurationError(f"`observers.{name}`: {text}.") from error

@@ -7,18 +7,16 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from ... import metrics
-from ...machines.base import Positive, Table, key
+from ...schema import NonNegative, Positive, Table, key
 from ..problem import MakeMetric
-from .machines import NonNegative
-
-MOTORS = ("pmsm",)
 
 
 class AbstractMetricTable(Table, abc.ABC):
-    """A metric; `machines` are the kinds that it is for, by default all."""
+    """A metric; `general`: whether it is for any machine, and not only for those whose kind
+    names it."""
 
     kind: Any
-    machines: ClassVar[tuple[str, ...] | None] = None
+    general: ClassVar[bool] = True
 
     @abc.abstractmethod
     def build(self, plant: Any) -> MakeMetric:
@@ -116,7 +114,7 @@ class AngleTable(AbstractMetricTable):
     kind: Literal["angle", "peak_angle"] = key("the kind of metric")
     after: NonNegative = key("when it begins to count", "s", default=0.0)
 
-    machines = MOTORS
+    general = False
 
     def build(self, plant):
         peak = self.kind == "peak_angle"

@@ -1,58 +1,26 @@
-"""`[observers.NAME]` of a study: each designed for the nominal plant."""
+"""`[observers.NAME]` of a study: the keys of each kind of observer.
+
+Which suit a machine, and how they are made of its nominal plant, is said by the kind of
+machine ([`aslo_jax.machines.Study`][]).
+"""
 
 import abc
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
-import jax.numpy as jnp
 from pydantic import Field
 
-from ...completions import AbstractCompletion, LeastSquares, Repeat
-from ...filters import LowPass
-from ...guard import Guard
-from ...machines.base import Positive, Table, key
-from ...observers import (
-    FO1,
-    FO2,
-    FO3,
-    AbstractObserver,
-    AlgebraicObserver,
-    Asymptotic,
-    BearingObserver,
-    ExtendedKalman,
-    FilteredDerivative,
-    HighGain,
-    Joined,
-    OpenLoopIntegrator,
-    ReducedLuenberger,
-    SteadyStateKalman,
-    SuperTwisting,
-    Unwrapped,
-    velocity_observer,
-)
-from ...plants import WRIM, AbstractMechanicalSystem, IntegratorChain, MagneticBearing
-
-MECHANISMS = ("robotic_leg", "ball_beam")
-MOTORS = ("pmsm",)
-FLUXES = (*MOTORS, "wrim")
-RELATIONS = ("double_integrator", *FLUXES)
-THRESHOLDS = {"robotic_leg": 1e-2, "ball_beam": 1e-2, "magnetic_bearing": 1e-4}
+from ...schema import Positive, Table, key
 
 
 class AbstractObserverTable(Table, abc.ABC):
-    """An observer; `machines` are the kinds that it is for."""
+    """An observer."""
 
     kind: Any
-    machines: ClassVar[tuple[str, ...]]
-
-    @abc.abstractmethod
-    def build(self, plant: Any, start: Any) -> AbstractObserver:
-        """The observer of a plant that starts in the state `start`."""
 
 
-class AlgebraicTable(AbstractObserverTable):
-    """The ASLO, of any machine."""
+class AbstractAlgebraicTable(AbstractObserverTable, abc.ABC):
+    """An algebraic observer, of any machine."""
 
-    kind: Literal["aslo"] = key("the kind of observer")
     cutoff: Positive = key("cutoff of the filter", "rad/s")
     completion: Literal["least-squares", "repeat"] = key(
         "from one row to two", default="least-squares"
@@ -68,61 +36,18 @@ class AlgebraicTable(AbstractObserverTable):
         "cutoff of the velocity's filter, of a magnetic bearing", "rad/s", default=200.0
     )
 
-    machines = (*RELATIONS, *MECHANISMS, "magnetic_bearing")
 
-    def build(self, plant, start):
-        return algebraic(self, plant, None)
+class AlgebraicTable(AbstractAlgebraicTable):
+    """The ASLO."""
+
+    kind: Literal["aslo"] = key("the kind of observer")
 
 
-class AsymptoticTable(AlgebraicTable):
+class AsymptoticTable(AbstractAlgebraicTable):
     """The A-ASLO."""
 
-    kind: Literal["a-aslo"] = key("the kind of observer")  # pyright: ignore[reportIncompatibleVariableOverride]
+    kind: Literal["a-aslo"] = key("the kind of observer")
     gain: Positive = key("gain", "rad/s")
-
-    machines = (*RELATIONS, *MECHANISMS)
-
-    def build(self, plant, start):
-        return algebraic(self, plant, self.gain)
-
-
-def algebraic(table: AlgebraicTable, plant: Any, gain: float | None) -> AbstractObserver:
-    """The ASLO of a table, or with a `gain` (rad/s) the A-ASLO."""
-    kind = "magnetic_bearing" if isinstance(plant, MagneticBearing) else "pmsm"
-    mechanical = isinstance(plant, AbstractMechanicalSystem)
-    kind = "robotic_leg" if mechanical else kind
-    threshold = THRESHOLDS.get(kind, 1e-3) if table.threshold is None else table.threshold
-    guard, filter = Guard(threshold), LowPass(table.cutoff)
-    if mechanical:
-        completion = Repeat() if table.completion == "repeat" else LeastSquares()
-        return velocity_observer(
-            plant, filter, gain=gain, completion=completion, guard=guard, start=table.start
-        )
-
-    def one(relation: Any) -> AbstractObserver:
-        inner = AlgebraicObserver(relation, filter, _completion(table), guard, table.start)
-        return inner if gain is None else Asymptotic(inner, gain)
-
-    if isinstance(plant, MagneticBearing):
-        flux = one(plant.flux_relation())
-        assert isinstance(flux, AlgebraicObserver)
-        return BearingObserver(flux, LowPass(table.velocity_cutoff))
-    return _each(plant, one)
-
-
-def _completion(table: AlgebraicTable) -> AbstractCompletion:
-    if table.completion == "repeat":
-        return Repeat()
-    return LeastSquares(None if table.forgetting is None else LowPass(table.forgetting))
-
-
-def _each(plant: Any, one: Any) -> AbstractObserver:
-    """An observer of the plant's relation, or of those of both of its windings."""
-    if isinstance(plant, IntegratorChain):
-        return one(plant.relation())
-    if isinstance(plant, WRIM):
-        return Joined(tuple(one(plant.flux_relation(w)) for w in ("stator", "rotor")))
-    return one(plant.flux_relation())
 
 
 class FO1Table(AbstractObserverTable):
@@ -132,11 +57,6 @@ class FO1Table(AbstractObserverTable):
     cutoff: Positive = key("cutoff of the filter", "rad/s")
     gain: Positive = key("gain", "s/Wb^2")
 
-    machines = MOTORS
-
-    def build(self, plant, start):
-        return FO1(plant.flux_relation(), LowPass(self.cutoff), self.gain)
-
 
 class FO2Table(AbstractObserverTable):
     """FO2: a gradient search on the known magnet flux."""
@@ -144,11 +64,6 @@ class FO2Table(AbstractObserverTable):
     kind: Literal["fo2"] = key("the kind of observer")
     gain: Positive = key("gain", "1/(s Wb^2)")
     one_sided: bool = key("correct only outside of the circle", default=True)
-
-    machines = MOTORS
-
-    def build(self, plant, start):
-        return FO2(plant.flux_relation(), self.gain, self.one_sided)
 
 
 class FO3Table(AbstractObserverTable):
@@ -158,21 +73,11 @@ class FO3Table(AbstractObserverTable):
     cutoff: Positive = key("cutoff of the filter", "rad/s")
     gain: Positive = key("gain, SI")
 
-    machines = FLUXES
-
-    def build(self, plant, start):
-        return _each(plant, lambda r: FO3(r, LowPass(self.cutoff), self.gain))
-
 
 class IntegratorTable(AbstractObserverTable):
     """The integral of what is known, from zero."""
 
     kind: Literal["open_loop"] = key("the kind of observer")
-
-    machines = RELATIONS
-
-    def build(self, plant, start):
-        return _each(plant, OpenLoopIntegrator)
 
 
 class LuenbergerTable(AbstractObserverTable):
@@ -180,11 +85,6 @@ class LuenbergerTable(AbstractObserverTable):
 
     kind: Literal["luenberger"] = key("the kind of observer")
     gain: Positive = key("its pole is at minus this", "rad/s")
-
-    machines = ("double_integrator",)
-
-    def build(self, plant, start):
-        return ReducedLuenberger.of_chain(2, self.gain)
 
 
 class KalmanTable(AbstractObserverTable):
@@ -202,24 +102,6 @@ class KalmanTable(AbstractObserverTable):
         "two-sided intensity of the noise on the voltage of a motor", "V^2 s", default=1e-6
     )
 
-    machines = ("double_integrator", *MOTORS, *MECHANISMS)
-
-    def build(self, plant, start):
-        process = jnp.asarray(self.process, float)
-        if isinstance(plant, IntegratorChain):
-            A, B, C = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]]
-            return SteadyStateKalman.design(
-                A, B, C, float(process), self.measurement, [[0.0, 1.0]]
-            )
-        if isinstance(plant, AbstractMechanicalSystem):
-            kalman = ExtendedKalman.of_mechanical(
-                plant, process, self.measurement, 1.0, initial=start.position
-            )
-            return _unwrapped(kalman, plant)
-        return ExtendedKalman.of_pmsm(
-            plant.flux_relation(), self.voltage, process, self.measurement
-        )
-
 
 Gains = Positive | Annotated[list[Positive], Field(min_length=1)]
 GAINS = "a positive finite number, or one for each coordinate"
@@ -232,12 +114,6 @@ class HighGainTable(AbstractObserverTable):
     bandwidth: Gains = key("both poles are at minus this", "rad/s", allowed=GAINS)
     model: bool = key("whether it knows the acceleration of the plant", default=True)
 
-    machines = MECHANISMS
-
-    def build(self, plant, start):
-        gain = jnp.asarray(self.bandwidth, float)
-        return _unwrapped(HighGain(gain, plant if self.model else None), plant)
-
 
 class SuperTwistingTable(AbstractObserverTable):
     """Levant's differentiator."""
@@ -245,26 +121,12 @@ class SuperTwistingTable(AbstractObserverTable):
     kind: Literal["super_twisting"] = key("the kind of observer")
     bound: Gains = key("of the acceleration (m/s^2, rad/s^2)", allowed=GAINS)
 
-    machines = MECHANISMS
-
-    def build(self, plant, start):
-        return _unwrapped(SuperTwisting(jnp.asarray(self.bound, float)), plant)
-
 
 class DerivativeTable(AbstractObserverTable):
     """The filtered derivative of the positions."""
 
     kind: Literal["filtered_derivative"] = key("the kind of observer")
     cutoff: Positive = key("cutoff of the filter", "rad/s")
-
-    machines = MECHANISMS
-
-    def build(self, plant, start):
-        return _unwrapped(FilteredDerivative(LowPass(self.cutoff)), plant)
-
-
-def _unwrapped(observer: AbstractObserver, plant: AbstractMechanicalSystem):
-    return Unwrapped(observer, plant.angles) if any(plant.angles) else observer
 
 
 Observer = Annotated[

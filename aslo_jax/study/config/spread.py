@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from ...machines.base import Positive, Table, key
+from ...schema import Positive, Table, key
 from ..distributions import (
     AbstractDistribution,
     Correlated,

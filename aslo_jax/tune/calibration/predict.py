@@ -1,5 +1,5 @@
 """What a model predicts along a log: states carried along their known derivative, and the
-gap of the equation that they ought to satisfy at every sample."""
+gap of the equation that they should satisfy at every sample."""
 
 import abc
 from collections.abc import Callable

@@ -57,7 +57,7 @@ def _measure(prediction, s, u, y, B):
     """The error and its derivative in s, measured by what the noise of this sample makes
     of it: `B` is how that, of unit size, enters s.
 
-    The likelihood of y wants the gap in the units of y. Its own would reward a parameter
+    The likelihood of y needs the gap in the units of y. Its own would reward a parameter
     that makes every gap small, such as an inductance that goes to zero."""
     p = y.shape[0]
 

@@ -1,17 +1,16 @@
-"""Signals of time in a study's file."""
+"""Signals of time in a file: loads, references, supplies."""
 
-from typing import Annotated, Any, Literal
+import abc
+from typing import Annotated, Literal
 
 import jax.numpy as jnp
 from pydantic import Field
 
-from ...machines.base import Positive, Table, key
-from ..signals import Supply, Wave
-
-Numbers = float | Annotated[list[float], Field(min_length=1)]
+from ..control.signals import Supply, Wave
+from .table import Numbers, Positive, Table, key
 
 
-class WaveTable(Table):
+class AbstractWaveTable(Table, abc.ABC):
     """`offset + amplitude sin(frequency t + phase)`."""
 
     offset: Numbers = key("mean, in the units of the signal", default=0.0)
@@ -21,14 +20,18 @@ class WaveTable(Table):
 
     def signal(self) -> Wave:
         """The wave, every parameter of the shape of the signal."""
-        values = [jnp.asarray(x, float) for x in self.model_dump().values()]
-        sizes = {v.shape for v in values if v.shape}
-        if len(sizes) > 1:
+        given = self.model_dump(include={"offset", "amplitude", "frequency", "phase"})
+        values = {name: jnp.asarray(x, float) for name, x in given.items()}
+        if len({v.shape for v in values.values() if v.shape}) > 1:
             raise ValueError(
                 "the parameters of a signal must be numbers or lists of one length, but "
-                f"are {self.model_dump()}"
+                f"are {given}"
             )
-        return Wave(*values)
+        return Wave(**values)
+
+
+class WaveTable(AbstractWaveTable):
+    """A wave by itself."""
 
 
 NoLoad = WaveTable()
@@ -47,14 +50,10 @@ class SupplyTable(Table):
         return Supply(**self.model_dump(exclude={"kind"}))
 
 
-class WaveInput(WaveTable):
+class WaveInput(AbstractWaveTable):
     """A wave among other signals."""
 
     kind: Literal["wave"] = key("the kind of signal")
-
-    def signal(self) -> Wave:
-        table: dict[str, Any] = self.model_dump(exclude={"kind"})
-        return WaveTable(**table).signal()
 
 
 Signal = Annotated[SupplyTable | WaveInput, Field(discriminator="kind")]

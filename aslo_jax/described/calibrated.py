@@ -5,30 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from .. import _toml_text
 from ..logs import Log
+from ..machines import AbstractDescription, MachineError
+from ..schema import hint
+from ..schema.toml_text import rewritten
 from ..tune import Calibration, calibrate
-from .base import AbstractDescription, MachineError
-
-# What the relation of a kind depends on, and is not simply known.
-PARAMETERS: dict[str, tuple[str, ...]] = {
-    "pmsm": ("resistance", "inductance", "magnet_flux"),
-    "stepper": ("resistance", "inductance", "torque_constant"),
-    "wrim": (
-        "stator_resistance",
-        "rotor_resistance",
-        "stator_inductance",
-        "rotor_inductance",
-        "mutual_inductance",
-    ),
-    "magnetic_bearing": ("resistance", "gap"),
-    "robotic_leg": ("m1", "m2", "damping"),
-    "ball_beam": ("length", "damping"),
-}
-REFUSED = {
-    "interior_pmsm": "its relation holds only up to the ripple of the d current",
-    "mechanical": "its parameters are in Python; use `aslo_jax.tune.calibrate` there",
-}
 
 
 def calibrate_machine(
@@ -41,20 +22,24 @@ def calibrate_machine(
 
     - `parameters`: keys of `[machine]`, by default all that its relation depends on;
     - `settings`: of [`calibrate`][].
+
+    **Raises:** [`MachineError`][] for a kind that offers no parameters, and for a name that
+    is not one of them.
     """
-    kind = machine.kind
-    if kind in REFUSED:
+    kind, unknowns = machine.kind, machine.unknowns
+    if unknowns.refused or not unknowns.usual:
         raise MachineError(
-            f'A machine of kind "{kind}" has no calibration: {REFUSED[kind]}.'
+            f'A machine of kind "{kind}" has no calibration: '
+            f"{unknowns.refused or 'its description offers no parameters'}."
         )
-    every = PARAMETERS[kind]
-    known = [*every, "force_constant"] if kind == "magnetic_bearing" else every
-    known = [*known, "gravity"] if kind == "ball_beam" else known
+    every = unknowns.usual
+    known = (*every, *unknowns.further)
     for name in parameters:
         if name not in known:
+            near = hint(name, known, "; did you mean `{}`?") or "."
             raise MachineError(
                 f"Argument `parameters` (option --parameter) must name one of "
-                f'{", ".join(known)} for a machine of kind "{kind}", but got `{name}`.'
+                f'{", ".join(known)} for a machine of kind "{kind}", but got `{name}`{near}'
             )
     names = tuple(parameters) or every
     if not parameters:
@@ -89,11 +74,11 @@ def values_of(machine: AbstractDescription, found: Calibration) -> dict[str, Any
     return values
 
 
-def rewritten(text: str, values: Mapping[str, Any]) -> str:
+def calibrated_text(text: str, values: Mapping[str, Any]) -> str:
     """A description with new `values` in `[machine]`; all else, comments too, as it was.
 
     **Raises:** [`MachineError`][] where a value is not on one line of its own."""
     try:
-        return _toml_text.rewritten(text, {"machine": values})
+        return rewritten(text, {"machine": values})
     except ValueError as error:
         raise MachineError(str(error)) from error

@@ -2,45 +2,82 @@
 allowed, and what is there."""
 
 import difflib
-from collections.abc import Iterator
-from typing import Any, Literal, get_args, get_origin
+from collections.abc import Callable, Iterable, Iterator
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
 TAGS = ("kind", "distribution")
+Unknown = Callable[[list[str], type[BaseModel]], str]
 
 
-def explain(model: type[BaseModel], error: ValidationError, content: Any) -> str:
-    """Every fault as a clause."""
-    faults = dict.fromkeys(_clause(model, fault, content) for fault in error.errors())
-    return "; ".join(faults)
+def hint(name: str, candidates: Iterable[str], text: str) -> str:
+    """`text` with the nearest of the `candidates` in it, nothing where none is near."""
+    candidates = list(candidates)
+    close = difflib.get_close_matches(name, candidates, n=1)
+    close = close or [each for each in candidates if name and each.startswith(name)]
+    return text.format(close[0]) if close else ""
 
 
-def _clause(model: type[BaseModel], fault: Any, content: Any) -> str:
+def choices(names: Iterable[str]) -> str:
+    """The names in quotes, as they stand in a file."""
+    return ", ".join(f'"{name}"' for name in names)
+
+
+def unknown_key(path: list[str], owner: type[BaseModel]) -> str:
+    """That the table `owner` has no key at `path`, and which it has."""
+    known = list(owner.model_fields)
+    near = hint(path[-1], known, "did you mean `{}`? ")
+    return f"unknown key `{'.'.join(path)}` ({near}allowed: {', '.join(known)})"
+
+
+def explain(
+    model: type[BaseModel],
+    error: ValidationError,
+    content: Any,
+    *,
+    unknown: Unknown = unknown_key,
+    in_full: bool = False,
+) -> str:
+    """Every fault as a clause.
+
+    - `unknown(path, owner)`: what to say of a key that the table `owner` has not;
+    - `in_full`: whether all is said that a number must be, not only what it lacks.
+    """
+    # A key that may be of two types has a fault for each, explained alike.
+    clauses = (_clause(model, fault, content, unknown, in_full) for fault in error.errors())
+    return "; ".join(dict.fromkeys(clauses))
+
+
+def _clause(
+    model: type[BaseModel], fault: Any, content: Any, unknown: Unknown, in_full: bool
+) -> str:
     path, field, owner, value = _walk(model, fault, content)
     about = "" if field is None or not field.description else f", {field.description},"
     what = f"`{'.'.join(path)}`{about}"
     kind = fault["type"]
-    if kind == "value_error":
+    if kind == "value_error":  # a check of several keys, which explains itself
         return str(fault["ctx"]["error"])
     if kind == "extra_forbidden":
-        return _unknown(path, owner)
+        return unknown(path, owner)
     if kind == "missing" or field is None:
         return f"{what} is missing: it must be {_allowed(field)}"
     if kind == "union_tag_not_found":
         tag = fault["ctx"]["discriminator"].strip("'")
-        allowed = ", ".join(f'"{name}"' for name in _tags(field.annotation))
+        allowed = choices(_tags(field.annotation))
         return f"`{'.'.join((*path, tag))}` is missing: it must be one of {allowed}"
     if kind == "union_tag_invalid":
         tag = fault["ctx"]["discriminator"].strip("'")
         found, names = fault["ctx"]["tag"], list(_tags(field.annotation))
-        allowed = ", ".join(f'"{name}"' for name in names)
-        close = difflib.get_close_matches(found, names, n=1)
-        hint = f"; did you mean `{close[0]}`?" if close else ""
+        near = hint(found, names, "; did you mean `{}`?")
         return (
-            f"`{'.'.join((*path, tag))}` must be one of {allowed}, but is {found!r}{hint}"
+            f"`{'.'.join((*path, tag))}` must be one of {choices(names)}, but is "
+            f"{found!r}{near}"
         )
-    return f"{what} must be {_allowed(field, fault)}, but is {value!r}"
+    reason = (field.json_schema_extra or {}).get("because")
+    because = f": {reason}" if reason else ""
+    allowed = _allowed(field, None if in_full else fault)
+    return f"{what} must be {allowed}, but is {value!r}{because}"
 
 
 def _walk(model: Any, fault: Any, content: Any) -> tuple[list[str], Any, Any, Any]:
@@ -65,7 +102,21 @@ def _walk(model: Any, fault: Any, content: Any) -> tuple[list[str], Any, Any, An
             annotation = (get_args(annotation) or (None,))[-1]
         path.append(str(item))
         content = content[item] if inside else None
+        if field is not None and _is_described(field):
+            break
     return path, field, owner, content
+
+
+def _is_described(field: Any) -> bool:
+    """Whether the whole value of a field is described by what its key says is `allowed`."""
+    notes = field.json_schema_extra or {}
+    return bool(notes.get("allowed")) and not _holds_tables(field.annotation)
+
+
+def _holds_tables(annotation: Any) -> bool:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return True
+    return any(map(_holds_tables, get_args(annotation)))
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
@@ -102,13 +153,6 @@ def _tags(annotation: Any) -> Iterator[str]:
                 break
 
 
-def _unknown(path: list[str], owner: type[BaseModel]) -> str:
-    known = list(owner.model_fields)
-    close = difflib.get_close_matches(path[-1], known, n=1)
-    hint = f"did you mean `{close[0]}`? " if close else ""
-    return f"unknown key `{'.'.join(path)}` ({hint}allowed: {', '.join(known)})"
-
-
 def _allowed(field: Any, fault: Any = None) -> str:
     notes = None if field is None else field.json_schema_extra
     if notes and notes.get("allowed"):
@@ -122,8 +166,14 @@ def _allowed(field: Any, fault: Any = None) -> str:
 
 
 def _in_words(field: Any) -> str:
-    annotation = None if field is None else field.annotation
-    if any(type(each).__name__ == "Gt" for each in getattr(field, "metadata", ())):
+    if field is None:
+        return "given"
+    annotation, bounds = field.annotation, list(field.metadata)
+    parts = [part for part in get_args(annotation) if part is not type(None)]
+    if len(parts) == 1 and get_origin(parts[0]) is Annotated:  # one type, or nothing
+        annotation, *notes = get_args(parts[0])
+        bounds = [bound for note in notes for bound in getattr(note, "metadata", [note])]
+    if any(type(bound).__name__ == "Gt" for bound in bounds):
         whole = annotation is int
         return "a positive whole number" if whole else "a positive finite number"
     names = {float: "a finite number", int: "a whole number", str: "a text"}

@@ -13,18 +13,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .. import random
-from .._toml_text import table_of
 from ..engines import run_batch
 from ..experiment import Experiment
 from ..logs import Log
-from ..machines.base import MachineError
-from ..machines.calibrated import calibrate_machine, values_of
-from ..machines.file import KINDS
+from ..machines import AbstractDescription, known_kind
+from ..schema.toml_text import table_of
 from ..study.config import Configuration, ConfigurationError, configure
 from ..study.spread import Sampler
-from .calibration import Calibration
-from .fit import Fitted, fit
-from .losses import MeanSquare
+from ..tune import Calibration, Fitted, fit
+from ..tune.losses import MeanSquare
+from .calibrated import calibrate_machine, values_of
 
 SPAN = 100.0  # bounds of a gain: that many times less and more than in the file
 CHANGE = 1.25  # of a value, to see which leaves of an experiment it becomes
@@ -92,21 +90,15 @@ def calibrate_study(
 ) -> tuple[Calibration, dict[str, dict[str, Any]]]:
     """Calibrate the machine of a study's file from a log without ground truth.
 
-    - `settings`: of [`aslo_jax.machines.calibrated.calibrate_machine`][].
+    - `settings`: of [`calibrate_machine`][].
 
     Returns the calibration, and new values by table and key: those of `machine` that the
     log determines, and the `deviation` of the file's first noise on the sensor (`sensor.0`,
     say), which the calibration has found in the log.
 
-    **Raises:** [`MachineError`][] for a kind of machine that has no calibration.
+    **Raises:** [`MachineError`][] for a kind of machine that has no logs or no calibration.
     """
-    kind = content["machine"]["kind"]
-    if kind not in KINDS:
-        raise MachineError(f'A machine of kind "{kind}" has no calibration from a log.')
-    table = KINDS[kind].model_fields["machine"].annotation
-    keys = getattr(table, "model_fields")  # noqa: B009  a class of pydantic's
-    known = {k: v for k, v in content["machine"].items() if k in keys}
-    description = KINDS[kind].model_validate({"machine": known})
+    description = machine_of(content)
     found = calibrate_machine(description, log, **settings)
     values: dict[str, dict[str, Any]] = {"machine": values_of(description, found)}
     for k, disturbance in enumerate(content.get("sensor", ())):
@@ -117,6 +109,19 @@ def calibrate_study(
             values[f"sensor.{k}"] = {"deviation": _rounded(level)}
             break
     return found, values
+
+
+def machine_of(content: Mapping[str, Any]) -> AbstractDescription:
+    """The machine of a study's file without what acts on it there, as
+    [`aslo_jax.machines.read_machine`][] gives it.
+
+    **Raises:** [`MachineError`][] for a kind of machine that has no logs.
+    """
+    machine = content["machine"]
+    kind = known_kind(machine["kind"], "`machine.kind` of a machine with a log")
+    table: Any = kind.model_fields["machine"].annotation
+    known = {k: v for k, v in machine.items() if k in table.model_fields}
+    return kind.model_validate({"machine": known})
 
 
 def _rounded(x: Any) -> Any:

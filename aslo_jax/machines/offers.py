@@ -1,0 +1,186 @@
+"""How the observers of studies are made of a plant, by what is known of it.
+
+Each function returns builders by kind of observer, as in [`Study`][]; a kind of machine
+joins those that suit it.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+
+from ..completions import AbstractCompletion, LeastSquares, Repeat
+from ..filters import LowPass
+from ..guard import Guard
+from ..observers import (
+    FO1,
+    FO2,
+    FO3,
+    AbstractObserver,
+    AlgebraicObserver,
+    Asymptotic,
+    ExtendedKalman,
+    FilteredDerivative,
+    HighGain,
+    Joined,
+    OpenLoopIntegrator,
+    SuperTwisting,
+    Unwrapped,
+    velocity_observer,
+)
+from ..plants import AbstractMechanicalSystem
+from .study import Build
+
+Relations = Callable[[Any], Sequence[Any]]  # of a plant
+
+
+def algebraic(relations: Relations, *, threshold: float = 1e-3) -> dict[str, Build]:
+    """ASLO and A-ASLO of the plant's relations, the certificate below which they coast by
+    default `threshold`."""
+
+    def build(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        del start
+        refuse_keys(keys, "velocity_cutoff")
+
+        def one(relation: Any) -> AbstractObserver:
+            inner = algebraic_observer(relation, keys, threshold)
+            return inner if gain is None else Asymptotic(inner, gain)
+
+        gain = getattr(keys, "gain", None)
+        return _joined(one, relations(plant))
+
+    return {"aslo": build, "a-aslo": build}
+
+
+def algebraic_observer(relation: Any, keys: Any, threshold: float) -> AlgebraicObserver:
+    """The ASLO of a relation, with the keys of a table and a default `threshold`."""
+    filter = LowPass(keys.cutoff)
+    return AlgebraicObserver(
+        relation, filter, _completion(keys), _guard(keys, threshold), keys.start
+    )
+
+
+def refuse_keys(keys: Any, *names: str) -> None:
+    """Refuse a key of an observer that is given and would have no effect.
+
+    **Raises:** `ValueError`.
+    """
+    for name in names:
+        if getattr(keys, name) != type(keys).model_fields[name].default:
+            raise ValueError(
+                f"`{name}` has no effect on this observer of this machine; remove it"
+            )
+
+
+def _guard(keys: Any, threshold: float) -> Guard:
+    return Guard(threshold if keys.threshold is None else keys.threshold)
+
+
+def _completion(keys: Any) -> AbstractCompletion:
+    if keys.completion == "repeat":
+        refuse_keys(keys, "forgetting")
+        return Repeat()
+    return LeastSquares(None if keys.forgetting is None else LowPass(keys.forgetting))
+
+
+def _joined(one: Callable[[Any], AbstractObserver], relations: Sequence[Any]) -> Any:
+    """An observer of each relation; side by side where there are several."""
+    every = tuple(map(one, relations))
+    return every[0] if len(every) == 1 else Joined(every)
+
+
+def integrator(relations: Relations) -> dict[str, Build]:
+    """The integral of the known derivatives."""
+    return {
+        "open_loop": lambda keys, plant, start: _joined(
+            OpenLoopIntegrator, relations(plant)
+        )
+    }
+
+
+def mixing(relations: Relations) -> dict[str, Build]:
+    """FO3 of quadratic relations."""
+
+    def build(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        del start
+        filter = LowPass(keys.cutoff)
+        return _joined(lambda r: FO3(r, filter, keys.gain), relations(plant))
+
+    return {"fo3": build}
+
+
+def of_round_motor() -> dict[str, Build]:
+    """Those that know the magnet flux of a motor without saliency: FO1, FO2, and the
+    extended Kalman filter."""
+
+    def fo1(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        del start
+        return FO1(plant.flux_relation(), LowPass(keys.cutoff), keys.gain)
+
+    def fo2(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        del start
+        return FO2(plant.flux_relation(), keys.gain, keys.one_sided)
+
+    def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        del start
+        process = jnp.asarray(keys.process, float)
+        relation = plant.flux_relation()
+        return ExtendedKalman.of_pmsm(relation, keys.voltage, process, keys.measurement)
+
+    return {"fo1": fo1, "fo2": fo2, "kalman": kalman}
+
+
+def of_mechanism(*, threshold: float) -> dict[str, Build]:
+    """Those of the velocities of a mechanical system, the certificate below which the
+    algebraic ones coast by default `threshold`."""
+
+    def algebraic(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        del start
+        refuse_keys(keys, "forgetting", "velocity_cutoff")
+        return velocity_observer(
+            plant,
+            LowPass(keys.cutoff),
+            gain=getattr(keys, "gain", None),
+            completion=Repeat() if keys.completion == "repeat" else LeastSquares(),
+            guard=_guard(keys, threshold),
+            start=keys.start,
+        )
+
+    def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        refuse_keys(keys, "voltage")
+        process = jnp.asarray(keys.process, float)
+        return ExtendedKalman.of_mechanical(
+            plant, process, keys.measurement, 1.0, initial=start.position
+        )
+
+    def high_gain(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        del start
+        gain = jnp.asarray(keys.bandwidth, float)
+        return HighGain(gain, plant if keys.model else None)
+
+    def super_twisting(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        del plant, start
+        return SuperTwisting(jnp.asarray(keys.bound, float))
+
+    def derivative(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        del plant, start
+        return FilteredDerivative(LowPass(keys.cutoff))
+
+    return {
+        "aslo": algebraic,
+        "a-aslo": algebraic,
+        "kalman": _unwrapping(kalman),
+        "high_gain": _unwrapping(high_gain),
+        "super_twisting": _unwrapping(super_twisting),
+        "filtered_derivative": _unwrapping(derivative),
+    }
+
+
+def _unwrapping(build: Build) -> Build:
+    """With angles unwrapped on the way in, where the system has any."""
+
+    def unwrapped(keys: Any, plant: AbstractMechanicalSystem, start: Any):
+        observer = build(keys, plant, start)
+        return Unwrapped(observer, plant.angles) if any(plant.angles) else observer
+
+    return unwrapped

@@ -1,0 +1,71 @@
+"""What a study needs to know of a kind of machine: its keys, plant, observers, controls."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from ..observers import AbstractObserver
+from ..plants import AbstractPlant
+from ..schema import Table
+
+Build = Callable[[Any, Any, Any], AbstractObserver]
+
+
+def first_state(plant: AbstractPlant, table: Any) -> Any:
+    """The plant's first state with what the table's `initial` gives in its place, `None`
+    where that gives nothing.
+
+    **Raises:** `ValueError` for a value of another shape than the state has.
+    """
+    given = {k: v for k, v in table.initial.model_dump().items() if v is not None}
+    if not given:
+        return None
+    state = plant.initial()
+    for name, value in given.items():
+        old = getattr(state, name)
+        new = jnp.asarray(value, float)
+        if new.shape not in ((), old.shape):
+            raise ValueError(
+                f"`machine.initial.{name}` must hold {old.size} numbers, but is {value!r}"
+            )
+        new = jnp.broadcast_to(new, old.shape)
+        state = eqx.tree_at(lambda s, n=name: getattr(s, n), state, new)
+    return state
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Study:
+    """How a kind of machine takes part in studies.
+
+    - `machine`: its keys in `[machine]`, `kind` among them; `acting`: those that a study
+      adds to them, such as what acts on the machine and the state that it starts in;
+    - `entries`: the names of what is estimated, and `units` of each;
+    - `plant(table)`: the plant of a table with the keys of both;
+    - `observers`: those that suit it, by their kind in `[observers.NAME]`, each with how it
+      is made, `build(keys, plant, start)`: of the keys of its table and of the nominal
+      plant, which starts in the state `start`;
+    - `controls`: the kinds of `[control]` that suit it;
+    - `metrics`: the kinds of `[metrics.NAME]` that suit it, beside those for any machine;
+    - `bound`: whether its Cramer-Rao bound can be had;
+    - `start(plant, table)`: the first state, `None` for the plant's own.
+    """
+
+    machine: type[Table]
+    acting: type[Table]
+    entries: tuple[str, ...]
+    units: tuple[str, ...]
+    plant: Callable[[Any], AbstractPlant]
+    observers: Mapping[str, Build]
+    controls: tuple[str, ...]
+    metrics: tuple[str, ...] = ()
+    bound: bool = False
+    start: Callable[[AbstractPlant, Any], Any] = first_state
+
+    @property
+    def kind(self) -> str:
+        """Its name in `machine.kind`."""
+        (name,) = self.machine.model_fields["kind"].annotation.__args__  # pyright: ignore
+        return name

@@ -1,0 +1,49 @@
+"""A table of a TOML file, and its keys."""
+
+from typing import Annotated, Any
+
+from .._extras import missing
+
+try:
+    from pydantic import BaseModel, ConfigDict, Field
+except ModuleNotFoundError as error:
+    raise missing("pydantic", "cli") from error
+
+
+class Table(BaseModel):
+    """A table of a file: unknown keys, text for a number, NaN are refused."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Whole = Annotated[int, Field(gt=0)]
+Numbers = float | Annotated[list[float], Field(min_length=1)]
+
+
+def key(
+    description: str,
+    unit: str = "",
+    *,
+    default: Any = ...,
+    example: Any = None,
+    allowed: str | None = None,
+    because: str = "",
+) -> Any:
+    """A key of a table.
+
+    - `unit`: of a number, in SI; a key of `[observer]` in rad/s is a rate of the observer;
+    - `example`: what [`template_lines`][] writes, by default the default;
+    - `allowed`, `because`: for messages, where the type alone does not tell.
+    """
+    full = f"{description} ({unit})" if unit else description
+    notes = {"unit": unit, "allowed": allowed, "because": because}
+    return Field(
+        default=default, description=full, examples=[example], json_schema_extra=notes
+    )
+
+
+def is_rate(field: Any) -> bool:
+    """Whether a field of a table is a rate (rad/s)."""
+    return bool(field.json_schema_extra) and field.json_schema_extra["unit"] == "rad/s"
