@@ -10,9 +10,9 @@ import numpy as np
 from ..logs import Log
 from ..machines import AbstractDescription, MachineError
 from ..tune import Calibration
+from ..tune.calibration.result import DOUBTFUL
 from . import table
 
-DOUBTFUL = 0.3  # of a correlation
 WORSE = 1.2  # times the residual that the old parameters leave
 
 FITS = {"output_offset": "offset"}
@@ -28,6 +28,9 @@ def warnings(found: Calibration) -> list[dict[str, Any]]:
         trust = "the parameters cannot be trusted without it" if found.withdrawn else ""
         message = f"the log shows {finding}{'; ' if trust else ''}{trust}: --fit {name}"
         told.append({"kind": name, "message": message, "rows": []})
+    if found.withdrawn and not found.findings:
+        message = f"the log shows {found.withdrawn}; the parameters cannot be trusted"
+        told.append({"kind": "model", "message": message, "rows": []})
     if abs(found.correlation) > DOUBTFUL and not found.withdrawn:
         message = (
             f"the prediction errors are correlated ({found.correlation:.2g}): the model, "

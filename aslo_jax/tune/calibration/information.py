@@ -30,6 +30,14 @@ class Information(NamedTuple):
             found[0] = True
         return vectors[:, found]
 
+    def moved(self, step: Float[np.ndarray, " k"], wide: float) -> float:
+        """The largest of the parts of a `step` along directions with a standard deviation
+        of at most `wide`, in such deviations."""
+        values, vectors = np.linalg.eigh(self.curvature)
+        known = values * wide**2 >= 1.0
+        parts = np.abs(vectors.T @ step) * np.sqrt(np.maximum(values, 0.0))
+        return float(np.max(parts[known], initial=0.0))
+
 
 def normalised(slopes: Float[np.ndarray, "N v"]) -> tuple[np.ndarray, np.ndarray]:
     """Columns of size one, and what their sizes were."""

@@ -99,8 +99,8 @@ def calibrate(
     while True:
         done, before, likelihood = done + 1, v, search.likelihood
         v, known = search.round(before)
-        moves = np.abs(v - before)[: known.deviation.size] / known.deviation
-        moved = float(np.max(moves, initial=0.0))
+        # What wanders along directions of which the record says little need not settle.
+        moved = known.moved((v - before)[: search.k], resolution / factor)
         progress(f"round {done}: the parameters move by {moved:.2g} deviations")
         settled = moved <= SETTLED and search.likelihood - likelihood <= GAINED
         if settled or done >= rounds:
@@ -116,6 +116,7 @@ def calibrate(
         confidence=confidence,
         resolution=resolution,
         noise=search.noise(),
+        disturbance=float(np.exp(search.levels[1])),
         errors=search.errors,
         rounds=done,
         settled=settled,

@@ -16,6 +16,8 @@ from .whiten import Noise
 
 SETTLED, UNSETTLED = "it settled", "the rounds are used up"
 NEGLIGIBLE = 0.1  # a share of a direction that is not worth its name
+DOUBTFUL = 0.3  # of a correlation
+UNEXPLAINED = 5e-3  # of the derivatives' rms, by which they are disturbed
 HARMLESS = 0.3  # of a half width, by which an error of the record may move a parameter
 
 
@@ -134,6 +136,7 @@ def summed_up(
     confidence: float,
     resolution: float,
     noise: Noise,
+    disturbance: float,
     errors: Float[np.ndarray, "N g"],
     rounds: int,
     settled: bool,
@@ -163,6 +166,13 @@ def summed_up(
         if any(not moved(finding, j) < HARMLESS * half[n] for j, n in enumerate(names))
     ]
     withdrawn = _reason(blamed) if blamed else ""
+    e = errors - np.mean(errors, axis=0)
+    correlation = float(np.sum(e[1:] * e[:-1]) / np.sum(e * e))
+    if abs(correlation) > DOUBTFUL and disturbance > UNEXPLAINED and not withdrawn:
+        withdrawn = (
+            f"an unknown error: derivatives disturbed by {100 * disturbance:.2g} % of their "
+            f"size, and prediction errors that are correlated ({correlation:.2g})"
+        )
     after, q = {}, np.zeros(k + problem.tested)
     for j, name in enumerate(names):
         size = abs(estimate[name])
@@ -174,7 +184,6 @@ def summed_up(
         q[j] = v[j] if sure else 0.0
         if withdrawn or not settled:
             interval[name] = (np.nan, np.nan)
-    e = errors - np.mean(errors, axis=0)
     return Calibration(
         model=parameters.place(q).model,
         before=dict(zip(names, parameters.value[:k].tolist(), strict=True)),
@@ -187,7 +196,7 @@ def summed_up(
         confidence=confidence,
         output_noise=np.asarray(noise.output),
         drift_noise=np.asarray(noise.drift),
-        correlation=float(np.sum(e[1:] * e[:-1]) / np.sum(e * e)),
+        correlation=correlation,
         profiles={
             n: (values(j, found.place), found.deviance)
             for j, (n, found) in enumerate(zip(names, profiles, strict=True))

@@ -166,7 +166,7 @@ class Search:
             jac=True,
             method="L-BFGS-B",
             bounds=[(-7.0, 7.0), (np.log(1e-8), np.log(3.0))],
-            options={"maxiter": 8, "ftol": 1e-6},
+            options={"maxiter": 15},
         )
         self.levels = found.x
         value, _, gains, _ = self._filtered(v, found.x)
