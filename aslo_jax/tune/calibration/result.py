@@ -170,8 +170,8 @@ def summed_up(
     correlation = float(np.sum(e[1:] * e[:-1]) / np.sum(e * e))
     if abs(correlation) > DOUBTFUL and disturbance > UNEXPLAINED and not withdrawn:
         withdrawn = (
-            f"an unknown error: derivatives disturbed by {100 * disturbance:.2g} % of their "
-            f"size, and prediction errors that are correlated ({correlation:.2g})"
+            f"an unknown error: derivatives disturbed by {100 * disturbance:.2g} % of "
+            f"their size, and prediction errors that are correlated ({correlation:.2g})"
         )
     after, q = {}, np.zeros(k + problem.tested)
     for j, name in enumerate(names):
