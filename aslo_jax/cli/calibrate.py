@@ -1,6 +1,5 @@
 """`aslo-jax calibrate`: parameters of a machine from a recorded log without truth."""
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -29,9 +28,6 @@ from .outputs import refuse_overlap, staged
 if TYPE_CHECKING:
     from ..logs import Log
     from ..machines import AbstractDescription
-    from ..tune import Calibration
-
-DOUBTFUL = 0.3  # of a correlation
 
 
 def calibrate(
@@ -59,6 +55,14 @@ def calibrate(
             help="Cutoff (rad/s) of the algebraic observer that starts the search."
         ),
     ] = None,
+    fit: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ERROR",
+            help="Errors of the record to be found as well, one or several with commas: "
+            "offset (of the outputs), input_offset, gain, dead_time, delay.",
+        ),
+    ] = None,
     resolution: Annotated[
         float,
         typer.Option(
@@ -67,20 +71,27 @@ def calibrate(
         ),
     ] = 0.01,
     max_gap: MaxGap = None,
+    json: Annotated[
+        Path | None,
+        typer.Option(help="All that was found, and every warning, for programs: .json."),
+    ] = None,
     quiet: QuietTable = False,
 ) -> None:
     """Find the parameters of a machine from a LOG without ground truth.
 
     The columns of the log are those of `aslo-jax estimate`; truth is not read. The
-    parameters start from the machine's file, a few per cent off or so. What the log does
-    not determine is named and stays as it is in the file. The new file differs from the
-    old one in the values that were found; comments and settings stay.
+    parameters start from the machine's file and may be a factor of two off. What the log
+    does not determine is named, with its interval, and stays as it is in the file. The new
+    file differs from the old one in the values that were found; comments and settings stay.
+    Errors of the record that the log shows are named, and with --fit found.
     """
     double_precision()
     from .._checks import positive
     from ..described import calibrate_machine, calibrated_text, values_of
     from ..logs import read_log
     from ..machines import read_machine
+    from ..tune.calibration.result import UNSETTLED
+    from .calibrated import as_json, check_calibrated, warnings
 
     positive("--resolution", resolution)
     if cutoff is not None:
@@ -88,6 +99,7 @@ def calibrate(
     if out.suffix.lower() != ".toml":
         raise ValueError(f"--out must be a .toml file, but is {out}.")
     outputs = {"--out": out} | ({"--plot": plot} if plot else {})
+    outputs |= {"--json": json} if json else {}
     refuse_overlap(outputs, {"the log": log, "the machine": machine})
     if plot:
         from .figure import check_figure_suffix
@@ -119,16 +131,28 @@ def calibrate(
             parameter or (),
             cutoff=cutoff,
             resolution=resolution,
+            fit=[name for text in fit or [] for name in text.split(",") if name],
             progress=(lambda text: None)
             if quiet
             else (lambda text: typer.echo(text, err=True)),
         )
+        if found.reason == UNSETTLED:
+            raise ValueError(
+                f"No calibration: the search has not settled in {found.rounds} rounds, and "
+                "nothing is written; find fewer parameters (option --parameter), or record "
+                "a run in which speed and currents vary."
+            )
         values = values_of(description, found)
         text = calibrated_text(machine.read_text(encoding="utf-8"), values)
         parts[0].write_text(text, encoding="utf-8")
+        check_calibrated(description, read_machine(parts[0]), recorded)
         if plot:
             _draw(parts[1], log.name, recorded, description, read_machine(parts[0]))
-    _warn(found)
+        warned = warnings(found)
+        if json:
+            parts[-1].write_text(as_json(found, values, warned), encoding="utf-8")
+    for warning in warned:
+        typer.echo(f"aslo-jax: warning: {warning['message']}", err=True)
     if quiet:
         return
     typer.echo(str(found))
@@ -137,18 +161,12 @@ def calibrate(
         f"of the outputs {', '.join(f'{x:.2g}' for x in found.output_noise)}; correlation "
         f"of prediction errors {found.correlation:.2g}, near 0 where the model is right"
     )
-    unknown = [name for name, x in found.after.items() if not math.isfinite(x)]
+    unknown = [name for name in found.after if not found.determined(name)]
     if unknown:
         typer.echo(f"unchanged in {out}: {', '.join(unknown)}")
-
-
-def _warn(found: "Calibration") -> None:
-    if abs(found.correlation) > DOUBTFUL:
         typer.echo(
-            "aslo-jax: warning: the prediction errors are correlated "
-            f"({found.correlation:.2g}): the model, or its sampling, leaves more than the "
-            "noise does, and the intervals are too narrow.",
-            err=True,
+            "what determines them: direct current, torque and speed that vary, or a "
+            "standstill with current besides; --resolution takes wider intervals"
         )
 
 

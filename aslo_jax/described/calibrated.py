@@ -61,7 +61,7 @@ def values_of(machine: AbstractDescription[Any, Any], found: Calibration) -> dic
     values: dict[str, Any] = {}
     for name in found.after:
         key, _, entry = name.partition("[")
-        if not np.isfinite(found.after[name]):
+        if not np.isfinite(found.after[name]) or not hasattr(machine.machine, key):
             continue
         old = np.asarray(getattr(machine.machine, key), float)
         new = np.array(values.get(key, old))

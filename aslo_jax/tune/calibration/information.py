@@ -5,75 +5,79 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+BLOCKS = 25  # of a record, whose slopes are summed
+
 
 class Information(NamedTuple):
     """Of `k` parameters, relative, with all other unknowns free.
 
     - `curvature`: of half the sum of squares, shape `(k, k)`, in units of the errors;
-    - `covariance`: of the parameters, robust, of shape `(k, k)`, along what was searched;
-    - `deviation`: its roots, shape `(k,)`.
+    - `deviation`: standard deviation of each, shape `(k,)`, robust;
+    - `inflation`: its square over that of white errors, at least one, shape `(k,)`.
     """
 
     curvature: Float[np.ndarray, "k k"]
-    covariance: Float[np.ndarray, "k k"]
     deviation: Float[np.ndarray, " k"]
+    inflation: Float[np.ndarray, " k"]
 
-    def along(self, directions: Float[np.ndarray, "k f"]) -> Float[np.ndarray, " f"]:
-        """The standard deviation along directions of unit length, infinite where flat."""
-        curvature = np.einsum("kf,kl,lf->f", directions, self.curvature, directions)
-        return np.where(curvature > 0, 1.0 / np.sqrt(np.maximum(curvature, 1e-300)), np.inf)
-
-    def flat(
-        self, factor: float, resolution: float, basis: Float[np.ndarray, "k r"]
-    ) -> Float[np.ndarray, "k f"]:
-        """The directions within `basis` along which an interval, `factor` deviations to
-        both sides, is wider than `resolution`; none where every parameter has a narrower
-        one."""
-        values, vectors = np.linalg.eigh(basis.T @ self.curvature @ basis)
+    def flat(self, wide: float) -> Float[np.ndarray, "k f"]:
+        """The directions along which a standard deviation is above `wide`, and, where
+        that is so of a parameter but of no direction, the flattest."""
+        values, vectors = np.linalg.eigh(self.curvature)
         variance = 1.0 / np.maximum(values, 1e-300)
-        vectors = basis @ vectors
-        deviation = np.sqrt(vectors**2 @ variance)
-        wide = factor * np.sqrt(variance) > resolution
-        if (factor * deviation > resolution).any():
-            wide[0] = True  # the flattest, where it takes several to make one wide
-        else:
-            wide[:] = False
-        return vectors[:, wide]
+        found = np.sqrt(variance) > wide
+        if (self.deviation > wide).any():
+            found[0] = True
+        return vectors[:, found]
+
+    def moved(self, step: Float[np.ndarray, " k"], wide: float) -> float:
+        """The largest of the parts of a `step` along directions with a standard deviation
+        of at most `wide`, in such deviations."""
+        values, vectors = np.linalg.eigh(self.curvature)
+        known = values * wide**2 >= 1.0
+        parts = np.abs(vectors.T @ step) * np.sqrt(np.maximum(values, 0.0))
+        return float(np.max(parts[known], initial=0.0))
+
+
+def normalised(slopes: Float[np.ndarray, "N v"]) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of size one, and what their sizes were."""
+    size = np.sqrt(np.sum(slopes**2, axis=0))
+    size = np.where(size > 0, size, 1.0)
+    return slopes / size, size
 
 
 def information(
     errors: Float[np.ndarray, "N g"],
     slopes: Float[np.ndarray, "N g v"],
-    basis: Float[np.ndarray, "k r"],
+    k: int,
+    prior: Float[np.ndarray, " v"],
 ) -> Information:
-    """The information in whitened errors with `slopes` in the parameters, which come
-    first, and the other unknowns."""
-    k, r = basis.shape
-    along = np.concatenate([slopes[..., :k] @ basis, slopes[..., k:]], axis=2)
-    size = np.sqrt(np.sum(along**2, axis=(0, 1)))
-    size = np.where(size > 0, size, 1.0)
-    along = along / size
-    flat = along.reshape(-1, along.shape[2])
-    F = flat.T @ flat
-    inverse = np.linalg.pinv(F, rcond=1e-14, hermitian=True)
+    """The information in whitened errors with `slopes` in the parameters, the first `k`,
+    and the other unknowns; `prior` is the curvature that is known beforehand.
+
+    Slopes times errors are independent from row to row where the model is right. Where it
+    is not, errors are correlated over as long as what causes them: the spread of their
+    sums over blocks of the record, each longer than that, tells the deviation."""
+    rows = errors.shape[0]
     variance = float(np.mean(errors**2))
-    # Slopes times errors, summed over a row, are independent where errors are white; sums
-    # of their products over neighbouring rows make up for it where they are not quite
-    # (Newey, West, Econometrica 55, 1987).
-    score = np.einsum("ngv,ng->nv", along, errors)
-    spread = score.T @ score
-    lags = round(score.shape[0] ** (1 / 3))
-    for lag in range(1, lags + 1):
-        product = score[lag:].T @ score[:-lag]
-        spread += (1.0 - lag / (lags + 1)) * (product + product.T)
-    robust = inverse @ spread @ inverse
-    unit = np.diag(1.0 / size[:r])
-    searched = basis @ unit
-    covariance = searched @ robust[:r, :r] @ searched.T
-    plain = searched @ (variance * inverse[:r, :r]) @ searched.T
-    deviation = np.sqrt(np.maximum(np.diag(covariance), np.diag(plain)))
-    # The curvature that is left when the other unknowns give way.
-    own, other, mixed = F[:r, :r], F[r:, r:], F[:r, r:]
-    left = own - mixed @ np.linalg.pinv(other, rcond=1e-14, hermitian=True) @ mixed.T
-    whole = basis @ (np.diag(size[:r]) @ left @ np.diag(size[:r])) @ basis.T
-    return Information(whole / variance, covariance, deviation)
+    flat, size = normalised(slopes.reshape(-1, slopes.shape[2]))
+    F = flat.T @ flat + np.diag(variance * prior / size**2)
+    inverse = np.linalg.pinv(F, rcond=1e-15, hermitian=True)
+    score = np.einsum("ngv,ng->nv", flat.reshape(slopes.shape), errors)
+    plain = variance * np.diag(inverse)
+    robust = np.diag(inverse @ spread(score, rows) @ inverse)
+    inflation = np.maximum(robust / plain, 1.0)[:k]
+    own, other, mixed = F[:k, :k], F[k:, k:], F[:k, k:]
+    left = own - mixed @ np.linalg.pinv(other, rcond=1e-15, hermitian=True) @ mixed.T
+    curvature = left * np.outer(size[:k], size[:k]) / variance
+    deviation = np.sqrt(plain[:k] * inflation) / size[:k]
+    return Information(curvature, deviation, inflation)
+
+
+def spread(score: Float[np.ndarray, "N v"], rows: int) -> Float[np.ndarray, "v v"]:
+    """The covariance of the sum of `score` over a record: from the sums of blocks."""
+    blocks = max(2, min(BLOCKS, rows // 20))
+    edges = np.linspace(0, score.shape[0], blocks + 1).astype(int)[:-1]
+    sums = np.add.reduceat(score, edges, axis=0)
+    # A t distribution of so few blocks is wider than a normal one.
+    return sums.T @ sums * (1.0 + 2.5 / blocks)

@@ -13,9 +13,11 @@ from ..._module import Module
 
 
 class Parameters(Module):
-    """Chosen leaves of a model, entry by entry: `value + scale q`.
+    """Chosen leaves of a model, entry by entry: `value exp(q)`, which keeps its sign, or,
+    of an entry that may change it or starts at zero, `value + scale q`.
 
-    - `leaves`: their places among the leaves of `model`; `names` of the entries.
+    - `leaves`: their places among the leaves of `model`; `names` of the entries;
+    - `signed`: the entries that may change their sign.
     """
 
     model: Any
@@ -23,11 +25,18 @@ class Parameters(Module):
     scale: Float[np.ndarray, " k"]
     leaves: tuple[int, ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
+    signed: tuple[bool, ...] = eqx.field(static=True)
+
+    def entries(self, q: Float[Array, " k"] | Float[np.ndarray, " k"]) -> Any:
+        """The values of the entries (their units), shape `(k,)`."""
+        signed = np.array(self.signed, bool)
+        added = self.value + self.scale * q
+        return jnp.where(signed, added, self.value * jnp.exp(jnp.where(signed, 0.0, q)))
 
     def place(self, q: Float[Array, " k"] | Float[np.ndarray, " k"]) -> Any:
         """The model with these parameters."""
         every, structure = jax.tree.flatten(self.model)
-        entries, start = self.value + self.scale * q, 0
+        entries, start = self.entries(q), 0
         for k in self.leaves:
             old = jnp.asarray(every[k])
             new = jnp.asarray(entries[start : start + old.size]).reshape(old.shape)
@@ -55,12 +64,14 @@ def chosen(model: Any, where: Callable[[Any], Any]) -> Parameters:
             raise ValueError(_WHERE.format(f"{name} is {leaf!r}"))
     short = [_last(paths[k][0]) for k in places]
     full = [jax.tree_util.keystr(paths[k][0]).lstrip(".") for k in places]
+    full = [path.removeprefix("model.") for path in full]
     names: list[str] = []
     for name, path, leaf in zip(short, full, leaves, strict=True):
         label = name if short.count(name) == 1 else path
         names += [label + (f"[{j}]" if np.ndim(leaf) else "") for j in range(np.size(leaf))]
     value = np.concatenate([np.ravel(np.asarray(leaf, float)) for leaf in leaves])
-    return Parameters(model, value, np.abs(value), tuple(places), tuple(names))
+    signed = tuple(bool(x == 0) or "offset" in n for x, n in zip(value, names, strict=True))
+    return Parameters(model, value, np.abs(value), tuple(places), tuple(names), signed)
 
 
 _WHERE = (

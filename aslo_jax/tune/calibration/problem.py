@@ -1,5 +1,6 @@
 """A calibration as a problem of least squares: what is unknown, and where it starts."""
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,6 +16,7 @@ from ...observers import Unwrapped, VelocityObserver
 from ...plants import AbstractMechanicalSystem
 from ...relations import Rate
 from . import start
+from .imperfections import sizes_of
 from .parameters import Parameters
 from .predict import (
     AbstractPrediction,
@@ -57,7 +59,8 @@ class Form(Module):
 class Problem(Module):
     """The unknowns are the parameters `q`, the first states, and the free constants.
 
-    `unknowns` is where they start, one vector in this order.
+    `unknowns` is where they start, one vector in this order. The last `tested` parameters
+    stay there: of them only slopes are asked for.
     """
 
     parameters: Parameters
@@ -65,16 +68,25 @@ class Problem(Module):
     signals: Signals
     unknowns: Float[np.ndarray, " v"]
     states: int = eqx.field(static=True)
+    tested: int = eqx.field(static=True)
+
+    @property
+    def found(self) -> tuple[str, ...]:
+        """The names of the parameters that are to be found."""
+        return self.parameters.names[: len(self.parameters.names) - self.tested]
 
     def split(self, v: Vector) -> tuple[Any, Vector, Vector]:
-        """The model, the first states and the constants of a vector of unknowns."""
+        """The model and the errors of the record ([`Recorded`][]), the first states and the
+        constants of a vector of unknowns."""
         k = len(self.parameters.names)
         return self.parameters.place(v[:k]), v[k : k + self.states], v[k + self.states :]
 
-    def prediction(self, v: Vector) -> tuple[AbstractPrediction, Any]:
-        """What is predicted with the unknowns `v`, and from which states on."""
-        model, x0, constants = self.split(v)
-        return self.form.prediction(model, constants), x0
+    def prediction(self, v: Vector) -> tuple[AbstractPrediction, Any, Signals]:
+        """What is predicted with the unknowns `v`, from which states on, and of which
+        signals."""
+        recorded, x0, constants = self.split(v)
+        signals = recorded.imperfections(self.signals)
+        return self.form.prediction(recorded.model, constants), x0, signals
 
     def drift(self) -> Float[np.ndarray, "N n"]:
         """The derivatives of the states at their start (their units per second)."""
@@ -83,10 +95,8 @@ class Problem(Module):
 
 @eqx.filter_jit
 def _drift(problem, v):
-    prediction, x0 = problem.prediction(v)
-    return jax.vmap(lambda u, y: prediction.drift(x0, u, y))(
-        problem.signals.u, problem.signals.y
-    )
+    prediction, x0, signals = problem.prediction(v)
+    return jax.vmap(lambda u, y: prediction.drift(x0, u, y))(signals.u, signals.y)
 
 
 def problem_of(
@@ -97,9 +107,10 @@ def problem_of(
     cutoff: float | None,
     constant: bool | None,
     scale: Mapping[str, float],
+    tested: int,
 ) -> Problem:
     """The problem of a log, with a first guess of all that is unknown."""
-    model = parameters.model
+    model = parameters.model.model
     for name in scale:
         if name not in parameters.names:
             raise ValueError(
@@ -107,7 +118,7 @@ def problem_of(
                 f", but got `{name}`."
             )
     if isinstance(model, AbstractMechanicalSystem):
-        return _mechanical(parameters, t, u, y, scale)
+        return _mechanical(parameters, t, u, y, scale, tested)
     relations = relations_of(model)
     if relations is None:
         system = isinstance(model, Unwrapped | VelocityObserver)
@@ -120,11 +131,11 @@ def problem_of(
             f"Argument `model` must have a relation, but got {type(model).__name__}; "
             f"{remedy}."
         )
-    return _related(parameters, relations, t, u, y, cutoff, constant, scale)
+    return _related(parameters, relations, t, u, y, cutoff, constant, scale, tested)
 
 
-def _mechanical(parameters, t, u, y, scale):
-    system = parameters.model
+def _mechanical(parameters, t, u, y, scale, tested):
+    system = parameters.model.model
     if any(system.angles):
         y = np.where(system.angles, np.unwrap(y, axis=0), y)
     rows = min(SLOPE, t.size)
@@ -135,10 +146,10 @@ def _mechanical(parameters, t, u, y, scale):
     form = Form(coordinates=n)
     parameters = _scaled(parameters, form, signals, x, np.zeros(0), scale)
     unknowns = np.concatenate([np.zeros(len(parameters.names)), y[0], slope])
-    return Problem(parameters, form, signals, unknowns, 2 * n)
+    return Problem(parameters, form, signals, unknowns, 2 * n, tested)
 
 
-def _related(parameters, relations, t, u, y, cutoff, constant, scale):
+def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
     terms = [jax.eval_shape(r, u[0], y[0]) for r in relations]
     rates = tuple(isinstance(term, Rate) for term in terms)
     opened = tuple(
@@ -151,13 +162,15 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale):
     observers = start.Observers(cutoff)
     sizes = tuple(term.z.shape[0] + rate for term, rate in zip(terms, rates, strict=True))
     form = Form(sizes=sizes, rates=rates, opened=opened)
-    estimates = [replay(o, t, u, y) for o in observers(parameters.model)]
+    estimates = [replay(o, t, u, y) for o in observers(parameters.model.model)]
     x = np.concatenate(
         [_states(e.value, y, r) for e, r in zip(estimates, rates, strict=True)], axis=1
     )
     parameters = _scaled(parameters, form, whole, x, np.zeros(sum(opened)), scale)
-    q = start.first_guess(parameters, observers, t, whole, opened)
-    found = observers(parameters.place(q))
+    q = start.first_guess(parameters, observers, t, whole, opened, tested)
+    recorded = parameters.place(q)
+    found = observers(recorded.model)
+    _, u, y = (np.asarray(x) for x in recorded.imperfections(whole))
     estimates = [replay(o, t, u, y) for o in found]
     weights = [
         np.asarray(start.trusted(e, jnp.asarray(t), o))
@@ -171,7 +184,7 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale):
             "needed; record a run in motion, or choose another `cutoff`."
         )
     k = int(np.argmax(certified))
-    signals = Signals(np.diff(t)[k:], u[k:], y[k:])
+    signals = Signals(*(x[k:] for x in whole))
     first, constants = [], []
     for relation, estimate, w, rate, is_open in zip(
         [o.relation for o in found], estimates, weights, rates, opened, strict=True
@@ -185,7 +198,7 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale):
             gaps = np.asarray(gap(estimate.value, u, y))
             constants.append([np.sum(w * gaps) / np.sum(w)])
     unknowns = np.concatenate([q, *first, *constants])
-    return Problem(parameters, form, signals, unknowns, sum(sizes))
+    return Problem(parameters, form, signals, unknowns, sum(sizes), tested)
 
 
 def _states(value, y, rate):
@@ -196,7 +209,7 @@ def _opened(parameters: Parameters, j: int) -> bool:
     """Whether the constant of relation `j` is unknown and no parameter stands for it."""
 
     def constant(q):
-        relations = relations_of(parameters.place(q))
+        relations = relations_of(parameters.place(q).model)
         assert relations is not None
         return open_constant(relations[j])
 
@@ -217,31 +230,25 @@ def _scaled(
     """Sizes for parameters that start at zero: those that are given, the rms of the output
     for its offset, or else what makes the derivatives of the states as large again."""
     size = parameters.scale.copy()
-    unit = Parameters(
-        parameters.model,
-        parameters.value,
-        np.ones_like(size),
-        parameters.leaves,
-        parameters.names,
-    )
+    unit = dataclasses.replace(parameters, scale=np.ones_like(size))
     if (size == 0).any():
 
         def drift(q, x, u, y):
-            return form.prediction(unit.place(q), constants).drift(x, u, y)
+            return form.prediction(unit.place(q).model, constants).drift(x, u, y)
 
         zero = jnp.zeros(size.size)
         each = jax.vmap(drift, (None, 0, 0, 0))(zero, x, signals.u, signals.y)
         slopes = jax.vmap(jax.jacfwd(drift), (None, 0, 0, 0))(zero, x, signals.u, signals.y)
         each, slopes = np.asarray(each), np.asarray(slopes)
+        known = sizes_of(signals)
         for j in np.flatnonzero(size == 0):
-            if parameters.names[j].startswith("output_offset"):
-                size[j] = np.sqrt(np.mean(signals.y**2))
+            field = parameters.names[j].partition("[")[0]
+            if field in known:
+                size[j] = known[field]
                 continue
             entries = np.any(slopes[:, :, j] != 0, axis=0)
             moved = np.sqrt(np.mean(slopes[:, entries, j] ** 2)) if entries.any() else 0.0
             size[j] = np.sqrt(np.mean(each[:, entries] ** 2)) / moved if moved else 1.0
     for name, value in scale.items():
         size[parameters.names.index(name)] = value
-    return Parameters(
-        parameters.model, parameters.value, size, parameters.leaves, parameters.names
-    )
+    return dataclasses.replace(parameters, scale=size)

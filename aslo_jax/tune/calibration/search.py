@@ -1,223 +1,163 @@
-"""Calibration: prediction errors along a log, made white and then small."""
+"""The rounds of a search: prediction errors along a log, made white and then small."""
 
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+import dataclasses
+import functools
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Float
 
 from .information import Information, information
-from .parameters import chosen
-from .problem import Problem, problem_of
-from .result import Calibration, Undetermined
-from .start import PRIOR, paired
+from .problem import Problem
+from .profile import Profile, profile
+from .start import paired
 from .whiten import Gains, Noise, errors, kalman
 
-SETTLED = 0.05  # a change in standard deviations that ends the search
-NEGLIGIBLE = 0.1  # a share of a direction that is not worth its name
-GAINED = 1.0  # in log-likelihood, by a round, at most
 KICK = 0.02  # of the derivatives' rms, the first guess of what disturbs them
+PRIOR = 1.0  # standard deviation of the logarithm of a parameter: it keeps what the record
+# does not tell at home, and tells nothing against it
+LIKELY = 2.0  # of a log-likelihood, which falls by less between levels as good
+NEAR = 1e-3  # of a parameter, between two slopes of which one is taken
+FARTHEST = 1.5  # from the estimate, of a parameter's logarithm: no interval reaches there
 
 
-def calibrate(
-    model: Any,
-    t: ArrayLike,
-    u: ArrayLike,
-    y: ArrayLike,
-    where: Callable[[Any], Any],
-    *,
-    cutoff: float | None = None,
-    constant: bool | None = None,
-    scale: Mapping[str, float] | None = None,
-    resolution: float = 0.01,
-    confidence: float = 0.95,
-    rounds: int = 12,
-    progress: Callable[[str], Any] = lambda text: None,
-) -> Calibration:
-    """Find parameters of a machine from a log, without ground truth.
-
-    The relation that an observer rests on must hold for the states that it predicts, at
-    every sample: of a motor `|phi - L i|` is constant. Its gaps are made white by a Kalman
-    filter whose noise levels are found from the log too, and their squares are made least.
-    So the estimate is that of greatest likelihood for currents (or positions) with white
-    noise and disturbed derivatives, whatever the speed does in the log. The noise of a
-    current that enters its own prediction, which biases plain least squares, is accounted
-    for. The search starts from the parameters for which the algebraic estimate itself
-    satisfies the relation best, since far off the gaps have other minima.
-
-    **Arguments:**
-
-    - `model`: an [`AlgebraicObserver`][], an [`Asymptotic`][], observers side by side, a
-      [`BearingObserver`][]; or a plant: a machine with a flux relation, or a mechanical
-      system. A parameter that two relations share is shared in a plant only;
-    - `t` (s), `u`, `y`: the log, as for [`replay`][], arrays of shape `(N,)`, `(N, m)`,
-      `(N, p)`; angles may wrap;
-    - `where`: the leaves of `model` to be found, `lambda o: (o.relation.resistance,
-      o.relation.inductance)`; see [`Corrected`][] for the gain of the supply and offsets;
-    - `cutoff`: of the algebraic observers of a plant (rad/s), by default from the log;
-    - `constant`: whether the relations hold up to an unknown constant, which is then found
-      as well. By default where the observer does without the magnet flux, and `where` does
-      not ask for it; with `False` the magnet flux of the model is taken as known;
-    - `scale`: by name, the size of a parameter that starts at zero, in its units;
-    - `resolution`: a parameter is determined where the half width of its interval is less
-      than this share of it;
-    - `confidence`: of the intervals;
-    - `rounds`: at most;
-    - `progress`: is told of every round.
-
-    **Returns:** a [`Calibration`][]. Its intervals come from the curvature of the squares
-    and, robust against errors that are not quite white, from the spread of their slopes.
-
-    **Raises:** `ValueError` for a `model` or `where` that does not fit, where no estimate
-    is certified in the log, and as [`replay`][].
-
-    Source: prediction errors, Ljung, "System Identification", 1999, chapters 7 and 9;
-    theory, section 9.
-    """
-    import scipy.linalg  # heavy to import, and needed for a calibration only
-    import scipy.stats
-
-    t, u, y = (np.asarray(signal, float) for signal in (t, u, y))
-    problem = problem_of(chosen(model, where), t, u, y, cutoff, constant, scale or {})
-    search = _Search(problem)
-    k = len(problem.parameters.names)
-    factor = float(scipy.stats.norm.ppf(0.5 + 0.5 * confidence))
-    v, basis = problem.unknowns, np.eye(k)
-    flat, sizes = np.zeros((k, 0)), []
-    done = 0
-    while True:
-        done, before, likelihood = done + 1, v, search.likelihood
-        v, known = search.round(before, basis)
-        # What wanders along flat directions need not settle. They are taken out when the
-        # rest and the noise have: before, a model that is off looks like noise, in which
-        # everything is flat.
-        news = known.flat(factor, resolution, basis)
-        rest = scipy.linalg.null_space(np.concatenate([flat, news], axis=1).T)
-        moves = np.abs(rest.T @ (v - before)[:k]) / known.along(rest)
-        moved = float(np.max(moves, initial=0.0))
-        progress(f"round {done}: the parameters move by {moved:.2g} deviations")
-        gained = search.likelihood - likelihood
-        settled = moved <= SETTLED and gained <= GAINED
-        if not settled and done < rounds:
-            continue
-        if news.shape[1] == 0:
-            reason = "it settled" if settled else "the rounds are used up"
-            break
-        sizes += list(known.along(news))
-        flat = np.concatenate([flat, news], axis=1)
-        basis = scipy.linalg.null_space(flat.T)
-        # What was found along flat directions is given up: there it is where it started.
-        v = np.concatenate([basis @ (basis.T @ v[:k]), v[k:]])
-        if basis.shape[1] == 0:
-            reason = "nothing is determined"
-            break
-        rounds = max(rounds, done + 2)
-    return _result(
-        search, v, known.deviation, flat, sizes, factor, confidence, done, reason
-    )
-
-
-def _result(search, v, deviation, flat, sizes, factor, confidence, done, reason):
-    problem, k = search.problem, flat.shape[0]
-    parameters = problem.parameters
-    names, scale = parameters.names, parameters.scale
-    share = np.abs(flat) / np.max(np.abs(flat), axis=0, keepdims=True, initial=1e-300)
-    unknown = np.any(share > NEGLIGIBLE, axis=1)
-    after = np.where(unknown, np.nan, parameters.value + scale * v[:k])
-    half = np.where(unknown, np.nan, factor * deviation * scale)
-    undetermined = []
-    for direction, size in zip(flat.T, sizes, strict=True):
-        largest = direction[np.argmax(np.abs(direction))]
-        parts = dict(zip(names, (direction / largest).tolist(), strict=True))
-        parts = {name: x for name, x in parts.items() if abs(x) > NEGLIGIBLE}
-        undetermined.append(Undetermined(parts, float(size)))
-    noise = _noise(search.levels, search.drift, search.reference)
-    e = search.errors - np.mean(search.errors, axis=0)
-    return Calibration(
-        model=problem.split(v)[0],
-        before=dict(zip(names, parameters.value.tolist(), strict=True)),
-        after=dict(zip(names, after.tolist(), strict=True)),
-        interval={
-            name: (float(a - h), float(a + h))
-            for name, a, h in zip(names, after, half, strict=True)
-        },
-        undetermined=tuple(undetermined),
-        confidence=confidence,
-        output_noise=np.asarray(noise.output),
-        drift_noise=np.asarray(noise.drift),
-        correlation=float(np.sum(e[1:] * e[:-1]) / np.sum(e * e)),
-        rounds=done,
-        reason=reason,
-    )
-
-
-class _Round(NamedTuple):
+class Round(NamedTuple):
     unknowns: Float[np.ndarray, " v"]
     information: Information
 
 
-class _Search:
+class Search:
     """The rounds of a search: noise levels, the gains that belong to them, least squares.
 
     The gains are frozen while squares are made least: what they change in the errors is of
-    second order, and the errors then cost no more than a simulation."""
+    second order, and the errors then cost no more than a simulation.
+
+    One effect of theirs is of first order. Errors are gaps over what the noise of a sample
+    makes of them, D; their variance is one of noise and one of the prediction, P / D^2. A
+    parameter that makes D large makes the second small, which is no merit: the slope of
+    `sum e^2 / 2` at the true parameters is that of the half logarithm of the variances on
+    average, and not zero. It is taken away, as the `pull`, so that the estimate is where
+    the rest vanishes. Without it an inductance is found some 10 % too high where the
+    direct current is zero, and little else is known of it."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         y = np.asarray(problem.signals.y)
         drift = problem.drift()
-        prediction, _ = problem.prediction(jnp.asarray(problem.unknowns))
+        prediction, _, _ = problem.prediction(jnp.asarray(problem.unknowns))
         rms = np.sqrt(np.mean(drift**2, axis=0))[list(prediction.disturbed)]
         self.drift = np.maximum(rms, 1e-12)
         self.reference = _rough(y)
         self.levels = np.array([0.0, np.log(KICK)])
-        self.errors, self.likelihood = np.zeros((0, 1)), -np.inf
+        self.likelihood = -np.inf
+        every = len(problem.parameters.names)
+        self.k = len(problem.found)
+        self.free = np.ones(problem.unknowns.size, bool)
+        self.free[self.k : every] = False
+        self.pull = self.doubt = np.zeros(self.k)
 
-    def round(self, v: Float[np.ndarray, " v"], basis: Float[np.ndarray, "k r"]) -> _Round:
-        """One round from the unknowns `v`, along the directions `basis`."""
+    @property
+    def prior(self) -> Float[np.ndarray, " w"]:
+        """The curvature of what is known beforehand of every unknown that is free."""
+        found = np.zeros(np.count_nonzero(self.free))
+        found[: self.k] = PRIOR**-2
+        return found
+
+    def round(self, v: Float[np.ndarray, " v"]) -> Round:
+        """One round from the unknowns `v`."""
+        return self._least(v, self._gains(v))
+
+    def last_round(self, v: Float[np.ndarray, " v"]) -> Round:
+        """One round more, with the pull, between those of the noise levels that the record
+        may have had: half their difference is the `doubt`."""
+        lower, upper = (self._pull(v, levels) for levels in self._between(v))
+        self.pull, self.doubt = 0.5 * (upper + lower), 0.5 * np.abs(upper - lower)
+        return self._least(v, self.gains)
+
+    def _least(self, v: Float[np.ndarray, " v"], gains: Gains) -> Round:
+        """Squares made least, with gains that are kept."""
         from scipy.optimize import least_squares  # heavy to import
 
-        k, r = basis.shape
-        gains = self._gains(v)
-        prior = np.eye(r, r + v.size - k) / PRIOR
-
-        def whole(w):
-            return np.concatenate([basis @ w[:r], w[r:]])
+        known = np.eye(self.k, np.count_nonzero(self.free)) / PRIOR
 
         def evaluated(w):
-            e, J = map(np.asarray, _errors(self.problem, whole(w), self.reference, gains))
-            rows = np.concatenate([np.ravel(e), w[:r] / PRIOR])
-            flat = J.reshape(-1, v.size)
-            return rows, np.concatenate(
-                [np.concatenate([flat[:, :k] @ basis, flat[:, k:]], axis=1), prior]
-            )
+            e, J = whitened(self.problem, self.whole(w, v), self.reference, gains)
+            beforehand = w[: self.k] / PRIOR - PRIOR * self.pull
+            rows = np.concatenate([np.ravel(e), beforehand])
+            J = np.asarray(J)[..., self.free]
+            return rows, np.concatenate([J.reshape(-1, w.size), known])
 
+        self.evaluate = evaluated
         rows, slopes = paired(evaluated)
         solution = least_squares(
             rows,
-            np.concatenate([basis.T @ v[:k], v[k:]]),
+            v[self.free],
             jac=slopes,  # pyright: ignore[reportArgumentType]
             method="lm",
             x_scale="jac",
             max_nfev=15,
         )
-        v = whole(solution.x)
-        e, J = _errors(self.problem, v, self.reference, gains)
-        self.errors = np.asarray(e)
-        return _Round(v, information(self.errors, np.asarray(J), basis))
+        v = self.whole(solution.x, v)
+        e, J = whitened(self.problem, v, self.reference, gains)
+        self.gains, self.errors, self.slopes = gains, np.asarray(e), np.asarray(J)
+        own = self.slopes[..., self.free]
+        return Round(v, information(self.errors, own, self.k, self.prior))
+
+    def whole(
+        self, free: Float[np.ndarray, " w"], v: Float[np.ndarray, " v"]
+    ) -> Float[np.ndarray, " v"]:
+        """The unknowns `v` with other values of those that are free."""
+        v = np.array(v)
+        v[self.free] = free
+        return v
+
+    def profiles(
+        self, v: Float[np.ndarray, " v"], known: Information, confidence: float
+    ) -> list[Profile]:
+        """Of every parameter, about the unknowns `v` that a round has found."""
+        variance = float(np.mean(self.errors**2))
+        inverse = np.linalg.pinv(known.curvature, hermitian=True) / variance
+        doubt = np.abs(inverse) @ self.doubt
+
+        def inflation(w, j):
+            e, J = whitened(self.problem, self.whole(w, v), self.reference, self.gains)
+            own = np.asarray(J)[..., self.free]
+            return float(information(np.asarray(e), own, self.k, self.prior).inflation[j])
+
+        def profiled(j: int, degrees: int) -> Profile:
+            return profile(
+                self.evaluate,
+                v[self.free],
+                j,
+                variance,
+                float(known.deviation[j] / np.sqrt(known.inflation[j])),
+                confidence,
+                functools.partial(inflation, j=j),
+                FARTHEST,
+                degrees,
+            )
+
+        found = [profiled(j, 1) for j in range(self.k)]
+        if not all(p.parabolic for p in found):
+            found = [profiled(j, 2) if p.parabolic else p for j, p in enumerate(found)]
+        return [
+            dataclasses.replace(p, low=p.low - d, high=p.high + d)
+            for p, d in zip(found, doubt, strict=True)
+        ]
+
+    def noise(self) -> Noise:
+        """The noise that was found."""
+        return _noise(self.levels, self.drift, self.reference)
 
     def _gains(self, v: Float[np.ndarray, " v"]) -> Gains:
         """Those of the noise levels of greatest likelihood."""
         from scipy.optimize import minimize  # heavy to import
 
-        def evaluated(levels):
-            return _likelihood(self.problem, v, levels, self.drift, self.reference)
-
         def cost(levels):
-            value, slope, _ = evaluated(levels)
+            value, slope, *_ = self._filtered(v, levels)
             return float(value), np.asarray(slope)
 
         found = minimize(
@@ -228,11 +168,44 @@ class _Search:
             bounds=[(-7.0, 7.0), (np.log(1e-8), np.log(3.0))],
             options={"maxiter": 15},
         )
-        self.levels, self.likelihood = (
-            found.x,
-            -float(found.fun) * len(self.problem.signals.y),
-        )
-        return evaluated(found.x)[2]
+        self.levels = found.x
+        value, _, gains, _ = self._filtered(v, found.x)
+        self.likelihood = -float(value) * len(self.problem.signals.y)
+        return gains
+
+    def _filtered(self, v: Float[np.ndarray, " v"], levels: Float[np.ndarray, "2"]):
+        return _filter(self.problem, v, levels, self.drift, self.reference)
+
+    def _pull(
+        self, v: Float[np.ndarray, " v"], levels: Float[np.ndarray, "2"]
+    ) -> Float[np.ndarray, " k"]:
+        """The slope of the half logarithm of all variances in the parameters."""
+        found = np.zeros(self.k)
+        for j in range(self.k):
+            ends = [v.copy(), v.copy()]
+            ends[0][j] -= NEAR
+            ends[1][j] += NEAR
+            low, high = (float(self._filtered(v, levels)[3]) for v in ends)
+            found[j] = (high - low) / (2.0 * NEAR)
+        return found
+
+    def _between(self, v: Float[np.ndarray, " v"]) -> list[np.ndarray]:
+        """Noise levels about as likely as those that were found, with less of the
+        disturbance of the derivatives and with more."""
+
+        def unlikely(level: float) -> float:
+            value = self._filtered(v, np.array([self.levels[0], level]))[0]
+            return float(value) * len(self.problem.signals.y) + self.likelihood
+
+        found = []
+        for side in (-1.0, 1.0):
+            level = float(self.levels[1])
+            for step in (0.7, 1.4, 2.8, 2.8):
+                if unlikely(level + side * step) > LIKELY:
+                    break
+                level += side * step
+            found.append(np.array([self.levels[0], level]))
+        return found
 
 
 def _rough(y: Float[np.ndarray, "N p"]) -> Float[np.ndarray, " p"]:
@@ -251,26 +224,27 @@ def _noise(levels, drift, reference) -> Noise:
 
 
 @eqx.filter_jit
-def _likelihood(problem: Problem, v, levels, drift, reference):
-    """Negative, per row; its slope in the levels; and the gains that belong to them."""
-    prediction, x0 = problem.prediction(v)
+def _filter(problem: Problem, v, levels, drift, reference):
+    """The negative likelihood per row, its slope in the levels, the gains, and the half
+    logarithm of the variance of all errors."""
+    prediction, x0, signals = problem.prediction(v)
 
     def cost(levels):
         noise = _noise(levels, drift, reference)
-        gains, value = kalman(prediction, x0, noise, problem.signals)
-        return value, (value, gains)
+        gains, value, size = kalman(prediction, x0, noise, signals)
+        return value, (value, gains, size)
 
-    slope, (value, gains) = jax.jacfwd(cost, has_aux=True)(levels)
-    return value, slope, gains
+    slope, (value, gains, size) = jax.jacfwd(cost, has_aux=True)(levels)
+    return value, slope, gains, size
 
 
 @eqx.filter_jit
-def _errors(problem: Problem, v, reference, gains: Gains):
+def whitened(problem: Problem, v, reference, gains: Gains):
     """The errors and their slopes in the unknowns."""
 
     def rows(v):
-        prediction, x0 = problem.prediction(v)
-        found = errors(prediction, x0, reference, gains, problem.signals)
+        prediction, x0, signals = problem.prediction(v)
+        found = errors(prediction, x0, reference, gains, signals)
         return found, found
 
     slopes, found = jax.jacfwd(rows, has_aux=True)(v)

@@ -27,6 +27,9 @@ from .whiten import Signals
 # They matter where the record determines little, and there they keep the search at home.
 RESIDUAL, PRIOR = 0.01, 0.3
 THRESHOLD = 1e-3  # of the guard of an observer that is not given
+STARTS = 2  # of several, that are followed
+CLEAR = 5.0  # times better is no chance
+UNSURE = 3.0  # of half the sum of squares, below which a fit leaves nothing to ask
 TIME_CONSTANTS = 2.0  # of the filter, after which an estimate is used
 
 
@@ -83,23 +86,58 @@ def first_guess(
     t: Float[np.ndarray, " N"],
     signals: Signals,
     open_constants: tuple[bool, ...],
+    tested: int,
 ) -> Float[np.ndarray, " k"]:
     """The parameters for which the relations of the algebraic estimates hold best: of a
     motor, for which the weighted relative variance of `|flux - L i|^2` is least.
 
     Rate relations of one unknown hold by construction: they start where they are."""
+    solved, cost = _solved(
+        _Relative(parameters, observers, jnp.asarray(t), signals, open_constants), tested
+    )
+    h, u, y = signals
+    turned = _Relative(
+        parameters, observers, jnp.asarray(t), Signals(h, u, -y), open_constants
+    )
+    if cost > UNSURE and _solved(turned, tested)[1] < cost / CLEAR:
+        raise ValueError(
+            "No calibration: with the sign of all outputs turned the log fits the "
+            f"machine at least {CLEAR:g} times better; are currents counted out of it? "
+            "Turn their sign (option --column, for instance i_alpha=-i_alpha), or that of "
+            "the inputs."
+        )
+    return solved
+
+
+def _solved(cost: "_Relative", tested: int) -> tuple[Float[np.ndarray, " k"], float]:
+    """The parameters for which the `cost` is least, and it, from the best of several
+    starts, a factor of two apart."""
     from scipy.optimize import least_squares  # heavy to import
 
-    cost = _Relative(parameters, observers, jnp.asarray(t), signals, open_constants)
-    rows, slopes = paired(lambda q: _rows(cost, q))
-    solution = least_squares(
-        rows,
-        np.zeros(parameters.value.size),
-        jac=slopes,  # pyright: ignore[reportArgumentType]
-        method="lm",
-        max_nfev=30,
-    )
-    return solution.x
+    k = cost.parameters.value.size - tested
+    signed = np.array(cost.parameters.signed)[:k]
+    steps = [np.log(2.0) * np.eye(k)[j] * s for j in range(k) for s in (1, -1)]
+    starts = [np.zeros(k), *(s for s in steps if not signed[np.argmax(np.abs(s))])]
+    rows, slopes = paired(lambda q: _rows(cost, q, tested))
+    costs = [float(np.sum(rows(q) ** 2)) for q in starts]
+    others = sorted(range(1, len(starts)), key=costs.__getitem__)[: STARTS - 1]
+
+    def solved(k: int):
+        return least_squares(
+            rows,
+            starts[k],
+            jac=slopes,  # pyright: ignore[reportArgumentType]
+            method="lm",
+            max_nfev=30,
+        )
+
+    best = solved(0)
+    for k in others:
+        found = solved(k)
+        # What noise makes of the cost has minima of its own: those at home come first.
+        if found.cost < best.cost / 2:
+            best = found
+    return np.concatenate([best.x, np.zeros(tested)]), float(best.cost)
 
 
 def paired(evaluate: Callable[[np.ndarray], Any]) -> tuple[Callable, Callable]:
@@ -123,10 +161,11 @@ class _Relative(Module):
     opened: tuple[bool, ...] = eqx.field(static=True)
 
     def __call__(self, q):
-        t, (_, u, y) = self.t, self.signals
+        recorded = self.parameters.place(q)
+        t, (_, u, y) = self.t, recorded.imperfections(self.signals)
         found = [q / PRIOR]
         for observer, is_open in zip(
-            self.observers(self.parameters.place(q)), self.opened, strict=True
+            self.observers(recorded.model), self.opened, strict=True
         ):
             terms = jax.eval_shape(observer.relation, u[0], y[0])
             if isinstance(terms, Rate):
@@ -151,9 +190,9 @@ class _Relative(Module):
 
 
 @eqx.filter_jit
-def _rows(cost, q):
+def _rows(cost, q, tested):
     def rows(q):
-        found = cost(q)
+        found = cost(jnp.concatenate([q, jnp.zeros(tested)]))
         return found, found
 
     slopes, found = jax.jacfwd(rows, has_aux=True)(q)

@@ -75,9 +75,10 @@ def kalman(
     x0: Float[Array, " n"],
     noise: Noise,
     signals: Signals,
-) -> tuple[Gains, Array]:
+) -> tuple[Gains, Array, Array]:
     """The gains of the extended Kalman filter along the log, from an x0 that is taken to
-    be right, and the negative log-likelihood per row."""
+    be right, the negative log-likelihood per row, and the half logarithm of the variance of
+    all errors, of which it has one row's share."""
     h, u, y = signals
     p, w = y.shape[1], jnp.zeros_like(noise.drift)
     n0 = jnp.zeros(p)
@@ -88,7 +89,8 @@ def kalman(
         whiten = _inverse_root(S)
         K = P @ H.T @ whiten.T @ whiten
         white = whiten @ e
-        cost = 0.5 * jnp.sum(white * white) - jnp.sum(jnp.log(jnp.diagonal(whiten)))
+        size = -jnp.sum(jnp.log(jnp.diagonal(whiten)))
+        cost = jnp.stack([0.5 * jnp.sum(white * white) + size, size])
         return s - K @ e, P - K @ S @ K.T, Gains(K, whiten), cost
 
     def body(carry, sample):
@@ -106,7 +108,8 @@ def kalman(
     s, P, first, cost = update(s, (B * noise.output) @ (B * noise.output).T, u[0], y[0], B)
     _, (gains, costs) = jax.lax.scan(body, (s, P), (h, u[:-1], y[:-1], y[1:]))
     gains = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, gains)
-    return gains, (cost + jnp.sum(costs)) / y.shape[0]
+    cost, size = cost + jnp.sum(costs, axis=0)
+    return gains, cost / y.shape[0], size
 
 
 def errors(
