@@ -74,14 +74,19 @@ def record(name: str, varied: bool, noise: float, error: str, seed: int):
         u = np.concatenate([u[:1], u[:-1]])
     rng = np.random.default_rng(seed)
     y = y + noise * m.current * (rng.standard_normal(ROWS) + 1j * rng.standard_normal(ROWS))
-    return t, np.stack([u.real, u.imag], 1), np.stack([y.real, y.imag], 1)
+    pair = lambda z: np.stack([np.real(z), np.imag(z)], axis=1)
+    return t, pair(u), pair(y)
 
 
 def calibrated(name: str, varied: bool, noise: float, error: str, seed: int) -> Calibration:
     m = MOTORS[name]
     off = np.exp(np.random.default_rng(seed + 1).uniform(-0.3, 0.3, 3))
     machine = aslo.plants.PMSM(
-        m.resistance * off[0], m.inductance * off[1], m.magnet_flux * off[2], 4, 1e-4
+        resistance=m.resistance * off[0],
+        inductance=m.inductance * off[1],
+        magnet_flux=m.magnet_flux * off[2],
+        pole_pairs=4,
+        inertia=1e-4,
     )
     where = lambda p: (p.resistance, p.inductance, p.magnet_flux)
     return calibrate(machine, *record(name, varied, noise, error, seed), where)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
@@ -86,7 +87,9 @@ def calibrate(
 
     t, u, y = (np.asarray(signal, float) for signal in (t, u, y))
     fields = tuple(dict.fromkeys(fitted(name) for name in fit))
-    recorded = Recorded(model, perfect(model, Signals(np.diff(t), u, y)))
+    recorded = Recorded(
+        model, perfect(model, Signals(*map(jnp.asarray, (np.diff(t), u, y))))
+    )
     tests = tested(model, u, y, fields)
     errors = lambda r: tuple(getattr(r.imperfections, f) for f in (*fields, *tests))
     selected = chosen(recorded, lambda r: (where(r.model), *errors(r)))

@@ -81,7 +81,7 @@ class Search:
         """Squares made least, with gains that are kept."""
         from scipy.optimize import least_squares  # heavy to import
 
-        known = np.eye(self.k, np.count_nonzero(self.free)) / PRIOR
+        known = np.eye(self.k, int(np.count_nonzero(self.free))) / PRIOR
 
         def evaluated(w):
             e, J = whitened(self.problem, self.whole(w, v), self.reference, gains)
