@@ -121,7 +121,7 @@ def test_without_direct_current_the_interval_of_the_inductance_is_wide_and_holds
 
 
 def test_an_error_of_another_name_is_refused():
-    with pytest.raises(ValueError, match="must be of offset, output_offset, .* `ofset`"):
+    with pytest.raises(ValueError, match=r"must be of offset, output_offset, .* `ofset`"):
         calibrate(MOTOR, *clean(), where, fit=("ofset",))
 
 
@@ -167,7 +167,7 @@ def test_the_profile_of_a_linear_problem_is_that_of_its_covariance():
     deviation = np.sqrt(np.linalg.inv(A.T @ A)[1, 1])
     for inflation in (1.0, 2.5):
         found = profile(
-            evaluate, best, 1, 1.0, deviation, 0.95, lambda v: inflation, 9.0, 1
+            evaluate, best, 1, 1.0, deviation, 0.95, lambda v, x=inflation: x, 9.0, 1
         )
         half = 1.959964 * deviation * np.sqrt(inflation)
         assert found.parabolic
@@ -176,7 +176,7 @@ def test_the_profile_of_a_linear_problem_is_that_of_its_covariance():
 
 
 def test_the_profile_sees_a_second_valley():
-    """`(x^2 - 1)^2` has two; a hill between them that is lower than the limit hides none."""
+    """`(x^2 - 1)^2` has two; a hill between them that is below the limit hides none."""
     size = 1.5
 
     def evaluate(v):
