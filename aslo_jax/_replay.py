@@ -14,8 +14,8 @@ from . import _choices
 from ._checks import is_concrete, kind, one_of, real
 from ._typing import Engine, Missing, PyTree
 from .observers import AbstractObserver, Estimate, ObserverState
+from .observers._base import Est
 from .observers._missing import either, finite, marked, zeros
-from .observers.base import Est
 
 PIECE = 1 << 20  # instants looked at at once
 Checked = tuple[Any, PyTree, PyTree, Any]  # the first instant (s), u, y, and intervals (s)
@@ -174,7 +174,7 @@ def run_log(
         engine = "scan"
     if engine == "scan":
         return _run(observer, log, common, substeps, state, coasts)
-    from .engines.frontend.lower import NotFusible
+    from .engines._frontend.lower import NotFusible
 
     try:
         return _run_fused(observer, log, common, substeps, state, coasts)
@@ -238,7 +238,7 @@ def _run_fused(
     state: ObserverState | None,
     coasts: bool,
 ) -> tuple[Est, ObserverState]:
-    from .engines.fused.replay import replay_fused  # which needs an extra
+    from .engines._fused.replay import replay_fused  # which needs an extra
 
     t0, u, y, intervals = log
     # NumPy cuts and joins what can be read; XLA would compile a program for each.

@@ -8,11 +8,11 @@ from typing import Any
 
 from ._extras import require
 from .plot._figure import WIDTH, Figure
-from .study import formats
-from .study.bands import bands
-from .study.sensitivity import Index
-from .study.statistics import Interval
-from .study.tables import (
+from .study import _formats as formats
+from .study._bands import bands
+from .study._sensitivity import Index
+from .study._statistics import Interval
+from .study._tables import (
     BOUND,
     PARAMETER,
     Table,

@@ -14,10 +14,10 @@ from ._jumps import Span, between_jumps, span
 from ._module import Module
 from ._typing import PyTree
 from .control import AbstractController
-from .control.base import controlled
+from .control._base import controlled
 from .disturbances import AbstractDisturbance, DisturbanceState, check_streams
 from .observers import AbstractObserver, Estimate, ObserverState
-from .observers.base import Est, check_observers
+from .observers._base import Est, check_observers
 from .plants import AbstractPlant
 
 

@@ -21,8 +21,8 @@ SPREAD = "the whole again"  # what two measurements of the same kernel differ by
 
 def variants(work: Any, batch: Any, noisy: bool, target: Any) -> Iterator[tuple[str, Any]]:
     """The whole pipeline, and all without something."""
-    from aslo_jax.engines.backend.step import Body, Step
-    from aslo_jax.engines.passes import PASSES
+    from aslo_jax.engines._backend.step import Body, Step
+    from aslo_jax.engines._passes import PASSES
 
     from .loops import Sampled
 

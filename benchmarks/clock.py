@@ -24,7 +24,7 @@ def hertz() -> float:
     """By a chain of products, the fastest of some runs."""
     import ctypes
 
-    from aslo_jax.engines.runtime.host import compiled
+    from aslo_jax.engines._runtime.host import compiled
 
     run, out = compiled(TEXT), ctypes.c_int64()
     best = float("inf")
@@ -38,7 +38,7 @@ def hertz() -> float:
 def share(step: Any, speed: float, clock: float) -> float:
     """Of the products that a processor can make, those of a step that it takes so many
     times a second for each lane."""
-    from aslo_jax.engines.backend.cost import PRODUCTS
+    from aslo_jax.engines._backend.cost import PRODUCTS
 
     made = (e.instruction for e in step.usual.events)
     products = sum(x is not None and x.op in PRODUCTS for x in made)

@@ -41,8 +41,8 @@ monitoring.register_event_duration_secs_listener(
     if name == "/jax/core/compile/backend_compile_duration"
     else None
 )
-import aslo_jax.cli.running
-from aslo_jax.engines.fused import program
+import aslo_jax.cli._running
+from aslo_jax.engines._fused import program
 
 imported = time.process_time() - start
 plain = program.Program._kernels.func

@@ -22,8 +22,8 @@ from scipy.stats import qmc
 from aslo_jax.engines import Runner
 from aslo_jax.metrics import RMSError
 from aslo_jax.observers import HighGain, ReducedLuenberger, SteadyStateKalman
-from aslo_jax.study.config import NAMES, configure
-from aslo_jax.study.spread import Sampler
+from aslo_jax.study._config import NAMES, configure
+from aslo_jax.study._spread import Sampler
 
 GAINS = {
     "aslo": ("cutoff",),

@@ -148,7 +148,7 @@ def headline(folder: str, quick: bool) -> dict[str, Any]:
 def registers() -> dict[int, Any]:
     """The targets of this host by the bytes of their registers: its own, and on AVX-512
     also itself without it."""
-    from aslo_jax.engines.runtime.host import target
+    from aslo_jax.engines._runtime.host import target
 
     own = target()
     return {own.register: own} | ({32: target(32)} if own.register == 64 else {})

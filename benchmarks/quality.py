@@ -100,7 +100,7 @@ def experiment(regime: Regime, observer: Any, sample: Any) -> Any:
     import aslo_jax as aslo
     from aslo_jax.control import FieldOriented, MotorFeedback
     from aslo_jax.disturbances import SampledNoise
-    from aslo_jax.plants.machine import MachineState, direction
+    from aslo_jax.plants._machine import MachineState, direction
 
     motor = aslo.plants.PMSM.bmp0701f(load=regime.load)
     n, key = motor.pole_pairs, sample["key"]
@@ -141,8 +141,8 @@ def bound(regime: Regime, seeds) -> float:
     import jax.numpy as jnp
     import numpy as np
 
-    from aslo_jax.plants.machine import MachineState
-    from aslo_jax.study.bound import cramer_rao
+    from aslo_jax.plants._machine import MachineState
+    from aslo_jax.study._bound import cramer_rao
 
     number = jnp.asarray
     prior = MachineState(jnp.full(2, 0.2), number(100.0), number(3.0))
@@ -157,7 +157,7 @@ def normalised(regime: Regime) -> Any:
     """The mean squared error in units of the claimed covariance, over the size of x."""
     import jax.numpy as jnp
 
-    from aslo_jax.metrics.functions import Mean
+    from aslo_jax.metrics._functions import Mean
 
     def of(record):
         estimate = record.estimates["o"]

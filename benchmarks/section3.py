@@ -193,7 +193,7 @@ class BothWindings(AbstractObserver):
 def wrim() -> Case:
     """The WRIM of `aslo-jax paper --section 3`, shorted slip rings, a stator supply of 20 V
     at 12 rad/s, its amplitude modulated by 30 % with a random phase: 20 mA, 0.05 V."""
-    from aslo_jax.paper.section3.machines import wrim as machine_of
+    from aslo_jax.paper._section3.machines import wrim as machine_of
 
     machine, interval = machine_of(), 2e-4
 

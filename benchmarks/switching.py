@@ -42,8 +42,8 @@ def programs() -> dict[str, Any]:
     import jax.numpy as jnp
     import numpy as np
 
-    from aslo_jax.engines.fused.program import Bodies, Program
-    from aslo_jax.engines.runtime.host import widths
+    from aslo_jax.engines._fused.program import Bodies, Program
+    from aslo_jax.engines._runtime.host import widths
 
     costly, plain = observers()
 

@@ -242,7 +242,7 @@ def gradient(steps: int = 1_000, runs: int = 7) -> dict[str, float]:
     import jax.numpy as jnp
 
     import aslo_jax as aslo
-    from aslo_jax.tune.gradients import slope
+    from aslo_jax.tune._gradients import slope
 
     from . import timing
     from .section3 import pmsm

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from aslo_jax.engines.fused.program import Bodies, Program
-from aslo_jax.engines.ir.loop import varying
-from aslo_jax.engines.ir.selection import selected
+from aslo_jax.engines._fused.program import Bodies, Program
+from aslo_jax.engines._ir.loop import varying
+from aslo_jax.engines._ir.selection import selected
 
 X = np.array([0.3, -1.2, 0.9])
 REAL = jax.ShapeDtypeStruct((), np.float64)

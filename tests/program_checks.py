@@ -21,9 +21,9 @@ import numpy as np
 from random_programs import SITES, Code, Sum, compiled, recorded, sampled, source
 
 from aslo_jax.engines import Batch, NotFusible, Runner
-from aslo_jax.engines.backend.step import Body, Step
-from aslo_jax.engines.backend.target import AVX2, AVX512
-from aslo_jax.engines.fused.program import Program as Loop
+from aslo_jax.engines._backend.step import Body, Step
+from aslo_jax.engines._backend.target import AVX2, AVX512
+from aslo_jax.engines._fused.program import Program as Loop
 
 LANES = (1, 3, 7, 65, 1025)
 ORACLE = 65  # lanes of the oracle; those beyond repeat them

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from loops import REAL
 
-from aslo_jax.engines.fused.program import Bodies, Program
+from aslo_jax.engines._fused.program import Bodies, Program
 
 pytest.importorskip("llvmlite")
 

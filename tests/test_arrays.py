@@ -9,7 +9,7 @@ import pytest
 
 import aslo_jax as aslo
 from aslo_jax.engines import NotFusible, run_batch
-from aslo_jax.engines.fused.program import Bodies, Program
+from aslo_jax.engines._fused.program import Bodies, Program
 from aslo_jax.filters import second_order
 
 pytest.importorskip("llvmlite")

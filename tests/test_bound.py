@@ -11,13 +11,13 @@ import xarray as xr
 
 import aslo_jax as aslo
 from aslo_jax.control import FieldOriented, MotorFeedback
-from aslo_jax.control.base import OpenLoop
+from aslo_jax.control._base import OpenLoop
 from aslo_jax.disturbances import SampledNoise
 from aslo_jax.metrics import RMSError
-from aslo_jax.plants.base import AbstractPlant
-from aslo_jax.plants.machine import MachineState
-from aslo_jax.plants.mechanical import MechanicalState
-from aslo_jax.study.bound import Bound, cramer_rao, with_bound
+from aslo_jax.plants._base import AbstractPlant
+from aslo_jax.plants._machine import MachineState
+from aslo_jax.plants._mechanical import MechanicalState
+from aslo_jax.study._bound import Bound, cramer_rao, with_bound
 
 H = 0.02
 KEYS = jax.vmap(aslo.random.key)(jnp.arange(3))

@@ -9,7 +9,7 @@ from motion import Prescribed, PrescribedBearing
 
 import aslo_jax as aslo
 from aslo_jax.control import FieldOriented, MotorFeedback
-from aslo_jax.paper.section3 import settings
+from aslo_jax.paper._section3 import settings
 from aslo_jax.tune import calibrate
 
 MOTOR = aslo.plants.PMSM(8.875, 40.03e-3, 0.2086, 5, 60e-6)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import aslo_jax as aslo
-from aslo_jax.cli import main, table as tables
+from aslo_jax.cli import _table as tables, main
 from aslo_jax.logs import read_log, write_table
 from aslo_jax.machines import read_machine
 
@@ -274,7 +274,7 @@ def test_a_failing_figure_leaves_no_table(tmp_path, capsys, short, monkeypatch):
     def fail(*_):
         raise OSError("No space left on device")
 
-    monkeypatch.setattr("aslo_jax.cli.figure.save_figure", fail)
+    monkeypatch.setattr("aslo_jax.cli._figure.save_figure", fail)
     options = ("--out", tmp_path / "out.csv", "--plot", tmp_path / "out.png")
     message = refusal(capsys, 1, "estimate", short, "--machine", MOTOR, *options)
     assert message == "aslo-jax: error: No space left on device\n"

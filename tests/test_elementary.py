@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import scipy.special
 
-from aslo_jax.engines.frontend.libm.exponential import ULP
-from aslo_jax.engines.fused.program import Bodies, Program
+from aslo_jax.engines._frontend.libm.exponential import ULP
+from aslo_jax.engines._fused.program import Bodies, Program
 
 pytest.importorskip("llvmlite")
 N = 20_000

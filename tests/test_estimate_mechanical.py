@@ -10,7 +10,7 @@ import matplotlib.figure
 import numpy as np
 import pytest
 
-from aslo_jax.cli import main, table as tables
+from aslo_jax.cli import _table as tables, main
 from aslo_jax.logs import read_log, write_table
 from aslo_jax.machines import cutoff_for_positions, read_machine, typical_frequency
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import aslo_jax as aslo
-from aslo_jax.cli import main, summary, table, trace
+from aslo_jax.cli import _summary as summary, _table as table, _trace as trace, main
 from aslo_jax.engines import NotFusible
 from aslo_jax.logs import LogReader, write_table
 from aslo_jax.machines import read_machine, template

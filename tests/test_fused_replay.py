@@ -8,8 +8,8 @@ from motion import PrescribedPMSM
 
 import aslo_jax as aslo
 from aslo_jax.engines import NotFusible
-from aslo_jax.engines.fused import replay as fused_replay
-from aslo_jax.engines.fused.program import Program
+from aslo_jax.engines._fused import replay as fused_replay
+from aslo_jax.engines._fused.program import Program
 
 pytest.importorskip("llvmlite")
 MOTION = PrescribedPMSM()

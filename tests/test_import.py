@@ -9,7 +9,7 @@ from importlib.resources import files
 import pytest
 
 import aslo_jax
-from aslo_jax.cli import columns
+from aslo_jax.cli import _columns as columns
 
 # Reached by name, and not by `from aslo_jax import *`.
 PRIVATE_USE = {

@@ -24,11 +24,11 @@ from aslo_jax.machines import (
     offers,
     read_machine,
 )
-from aslo_jax.machines.base import algebraic, certified, in_columns
+from aslo_jax.machines._base import algebraic, certified, in_columns
 from aslo_jax.plants import PMSM
 from aslo_jax.schema import Positive, Table, Whole, key
 from aslo_jax.study import open_study
-from aslo_jax.study.config import ConfigurationError, configure
+from aslo_jax.study._config import ConfigurationError, configure
 
 FLUX = ("flux_a", "flux_b")
 # A two-phase generator, by other keys and columns than the motors have.
@@ -318,7 +318,7 @@ def test_a_class_that_lacks_what_all_ask_for_is_refused():
 def test_what_the_registered_kinds_offer_exists():
     """A name that no table has would never be reached."""
     from aslo_jax.machines import studies
-    from aslo_jax.study.config import control, metrics, observers
+    from aslo_jax.study._config import control, metrics, observers
 
     def kinds(union):
         return {

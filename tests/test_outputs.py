@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from aslo_jax.cli.outputs import staged
+from aslo_jax.cli._outputs import staged
 
 
 def test_an_interrupt_and_a_termination_leave_nothing(tmp_path):

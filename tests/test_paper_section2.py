@@ -12,15 +12,9 @@ import scipy.linalg
 
 import aslo_jax as aslo
 from aslo_jax import paper
-from aslo_jax.paper.claims import Above, Below, Claim, Near, to_csv, to_markdown, to_text
-from aslo_jax.paper.linear import realisation
-from aslo_jax.paper.section2 import (
-    experiments as s,
-    figures,
-    simulations,
-    systems,
-    theory,
-)
+from aslo_jax.paper._claims import Above, Below, Claim, Near, to_csv, to_markdown, to_text
+from aslo_jax.paper._linear import realisation
+from aslo_jax.paper._section2 import experiments as s, figures, simulations, systems, theory
 from aslo_jax.plot._figure import Figure
 
 PRINTED = s.Printed()

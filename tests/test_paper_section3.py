@@ -14,9 +14,9 @@ from motion import PrescribedPMSM, observe
 
 import aslo_jax as aslo
 from aslo_jax import paper
-from aslo_jax.paper import section3
-from aslo_jax.paper.report import Table, files
-from aslo_jax.paper.section3 import (
+from aslo_jax.paper import _section3 as section3
+from aslo_jax.paper._report import Table, files
+from aslo_jax.paper._section3 import (
     comparison_claims as comparison,
     figures,
     flux_claims,
@@ -26,7 +26,7 @@ from aslo_jax.paper.section3 import (
     settings as s,
     settling,
 )
-from aslo_jax.paper.section3.prescribed import PrescribedBearing, PrescribedMachine
+from aslo_jax.paper._section3.prescribed import PrescribedBearing, PrescribedMachine
 from aslo_jax.plot._figure import Figure
 
 PRINTED = s.Printed()

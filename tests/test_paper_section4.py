@@ -13,8 +13,8 @@ import scipy.integrate
 import scipy.interpolate
 
 from aslo_jax import paper
-from aslo_jax.paper import section4
-from aslo_jax.paper.section4 import (
+from aslo_jax.paper import _section4 as section4
+from aslo_jax.paper._section4 import (
     comparison_claims as comparison,
     comparison_figures,
     figures,

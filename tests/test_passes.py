@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from loops import PAIRS
 
-from aslo_jax.engines.fused.program import Bodies, Program
-from aslo_jax.engines.ir.graph import Function, Graph, Node
-from aslo_jax.engines.ir.loop import Loop, Switch, Tables
-from aslo_jax.engines.ir.verifier import MalformedError, verify
-from aslo_jax.engines.passes import PASSES, optimised
+from aslo_jax.engines._fused.program import Bodies, Program
+from aslo_jax.engines._ir.graph import Function, Graph, Node
+from aslo_jax.engines._ir.loop import Loop, Switch, Tables
+from aslo_jax.engines._ir.verifier import MalformedError, verify
+from aslo_jax.engines._passes import PASSES, optimised
 
 pytest.importorskip("llvmlite")
 REAL = jax.ShapeDtypeStruct((), np.float64)

@@ -13,8 +13,8 @@ from motion import PrescribedPMSM, observe
 from test_sampled import order, prescribed_log, record as record
 
 import aslo_jax as aslo
+from aslo_jax.observers._fo3 import _cramer
 from aslo_jax.observers._relaxation import relaxation
-from aslo_jax.observers.fo3 import _cramer
 
 MOTOR = PrescribedPMSM()
 FLUX = MOTOR.relation()

@@ -7,7 +7,7 @@ import pytest
 from motion import PrescribedPMSM
 
 import aslo_jax as aslo
-from aslo_jax.observers.pll import lagless
+from aslo_jax.observers._pll import lagless
 
 DT = 1e-4
 

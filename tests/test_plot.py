@@ -14,7 +14,7 @@ import xarray as xr
 import aslo_jax as aslo
 from aslo_jax import _text
 from aslo_jax.plot import _canvas, _lines
-from aslo_jax.study.bands import Band
+from aslo_jax.study._bands import Band
 from aslo_jax.tune import Fitted, Front, History, Surface
 
 T = np.linspace(0.0, 0.5, 51)

@@ -9,9 +9,9 @@ from machine_records import motor_log
 
 import aslo_jax as aslo
 from aslo_jax.tune import calibrate
-from aslo_jax.tune.calibration.imperfections import STAR, perfect
-from aslo_jax.tune.calibration.profile import profile
-from aslo_jax.tune.calibration.whiten import Signals
+from aslo_jax.tune._calibration.imperfections import STAR, perfect
+from aslo_jax.tune._calibration.profile import profile
+from aslo_jax.tune._calibration.whiten import Signals
 
 MOTOR = aslo.plants.PMSM(0.62, 2.1e-3, 0.036, 4, 90e-6)
 TRUTH = {"resistance": 0.62, "inductance": 2.1e-3, "magnet_flux": 0.036}

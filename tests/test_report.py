@@ -11,11 +11,11 @@ import pytest
 import xarray as xr
 
 from aslo_jax._report import write_report
-from aslo_jax.study.bands import bands
-from aslo_jax.study.formats import number
-from aslo_jax.study.sensitivity import Index
-from aslo_jax.study.statistics import Interval, proportion, quantile, rms
-from aslo_jax.study.tables import table
+from aslo_jax.study._bands import bands
+from aslo_jax.study._formats import number
+from aslo_jax.study._sensitivity import Index
+from aslo_jax.study._statistics import Interval, proportion, quantile, rms
+from aslo_jax.study._tables import table
 
 SAMPLES = 60
 TIME = np.linspace(0.0, 2.0, 21)
@@ -182,7 +182,7 @@ def test_what_decides_the_error(dataset, tmp_path):
 
 
 def test_bands_are_the_quantiles_at_each_instant(dataset, monkeypatch):
-    monkeypatch.setattr("aslo_jax.study.bands._BLOCK", 7 * 8 * 2 * TIME.size)
+    monkeypatch.setattr("aslo_jax.study._bands._BLOCK", 7 * 8 * 2 * TIME.size)
     found = bands(dataset.error)  # in blocks of seven samples, the last of four
     for name in dataset.observer.values:
         x = dataset.error.sel(observer=name).values

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 from aslo_jax.engines import NotFusible, Runner, run_batch
-from aslo_jax.engines.fused import program
-from aslo_jax.engines.runtime.threads import Run
+from aslo_jax.engines._fused import program
+from aslo_jax.engines._runtime.threads import Run
 from aslo_jax.experiment import Record
 
 pytest.importorskip("llvmlite")
@@ -335,7 +335,7 @@ FORKED = """
 import os, sys, threading, warnings
 import numpy as np
 from test_runtime import GAINS, last, runner, turned
-from aslo_jax.engines.fused import program
+from aslo_jax.engines._fused import program
 
 warnings.filterwarnings("ignore", message=".*fork")
 few = runner(20_000, threads=3)
@@ -536,7 +536,7 @@ def test_derivatives_that_a_fused_run_does_not_have():
 
 def test_derivatives_by_the_other_engine(monkeypatch):
     """Where those of the fused one cannot be compiled."""
-    from aslo_jax.engines.fused import tangents
+    from aslo_jax.engines._fused import tangents
 
     run, refused = runner(50, engine="auto"), runner(50)
     slow = runner(50, engine="scan")

@@ -8,11 +8,11 @@ import scipy.stats
 
 import aslo_jax as aslo
 from aslo_jax.control import FieldOriented, MotorFeedback
-from aslo_jax.control.base import OpenLoop
+from aslo_jax.control._base import OpenLoop
 from aslo_jax.disturbances import SampledNoise
 from aslo_jax.metrics import RMSError
-from aslo_jax.plants.machine import MachineState
-from aslo_jax.study.sensitivity import slopes, sobol_indices, to_text
+from aslo_jax.plants._machine import MachineState
+from aslo_jax.study._sensitivity import slopes, sobol_indices, to_text
 
 
 def test_the_function_of_ishigami():

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from aslo_jax.study.comparison import compare, holm, ranking
-from aslo_jax.study.statistics import mean, proportion, quantile, rms, summarise
+from aslo_jax.study._comparison import compare, holm, ranking
+from aslo_jax.study._statistics import mean, proportion, quantile, rms, summarise
 
 
 def holds(intervals, truth):

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from aslo_jax.engines.backend.cost import LINE_CYCLES, PRODUCTS, cycles
-from aslo_jax.engines.backend.step import Body, Step, chosen
-from aslo_jax.engines.backend.target import AVX2, AVX512
-from aslo_jax.engines.fused.program import Bodies, Program
-from aslo_jax.engines.runtime.host import target
+from aslo_jax.engines._backend.cost import LINE_CYCLES, PRODUCTS, cycles
+from aslo_jax.engines._backend.step import Body, Step, chosen
+from aslo_jax.engines._backend.target import AVX2, AVX512
+from aslo_jax.engines._fused.program import Bodies, Program
+from aslo_jax.engines._runtime.host import target
 
 REAL = jax.ShapeDtypeStruct((), np.float64)
 

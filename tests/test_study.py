@@ -19,12 +19,12 @@ import studies
 import xarray
 
 import aslo_jax as aslo
-from aslo_jax.engines.runtime import kernel
+from aslo_jax.engines._runtime import kernel
 from aslo_jax.metrics import RMSError
 from aslo_jax.study import open_study, run
-from aslo_jax.study.cluster import local_cluster
-from aslo_jax.study.problem import BLOCK, Problem, Study
-from aslo_jax.study.store import open_store
+from aslo_jax.study._cluster import local_cluster
+from aslo_jax.study._problem import BLOCK, Problem, Study
+from aslo_jax.study._store import open_store
 
 HERE = Path(__file__).parent
 

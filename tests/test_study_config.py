@@ -11,8 +11,8 @@ import pytest
 
 from aslo_jax.cli import main
 from aslo_jax.study import open_study
-from aslo_jax.study.config import NAMES, ConfigurationError, configure, read_configuration
-from aslo_jax.study.spread import Sampler
+from aslo_jax.study._config import NAMES, ConfigurationError, configure, read_configuration
+from aslo_jax.study._spread import Sampler
 
 FOLDER = files("aslo_jax.study") / "configs"
 

@@ -18,9 +18,9 @@ from aslo_jax.study import (
     Spread,
     Uniform,
 )
-from aslo_jax.study.designs import make_design
-from aslo_jax.study.leaves import Layout
-from aslo_jax.study.spread import Sampler
+from aslo_jax.study._designs import make_design
+from aslo_jax.study._leaves import Layout
+from aslo_jax.study._spread import Sampler
 
 N = 4096
 RELATION = aslo.plants.PMSM.bmp0701f().flux_relation()

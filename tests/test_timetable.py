@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from loops import PAIRS, REAL, X, check, count
 
-from aslo_jax.engines.fused.program import Bodies, Program
+from aslo_jax.engines._fused.program import Bodies, Program
 
 pytest.importorskip("llvmlite")
 SEVEN = jnp.asarray(0.7)

@@ -13,7 +13,7 @@ from aslo_jax.control import OpenLoop
 from aslo_jax.disturbances import SampledNoise
 from aslo_jax.filters import second_order
 from aslo_jax.tune import losses
-from aslo_jax.tune.coordinates import Coordinates
+from aslo_jax.tune._coordinates import Coordinates
 
 W, V = 1.0, 0.01  # two-sided intensities of the input's noise and the measurement's
 BEST = (5 * W / (3 * V)) ** 0.25  # rad/s, theory, section 4

@@ -10,11 +10,11 @@ import pytest
 from typer.testing import CliRunner
 
 from aslo_jax.cli import main
-from aslo_jax.cli.app import app
-from aslo_jax.cli.tune import compared
+from aslo_jax.cli._app import app
+from aslo_jax.cli._tune import compared
 from aslo_jax.described import changed, tune_study
-from aslo_jax.schema.toml_text import rewritten
-from aslo_jax.study.config import NAMES
+from aslo_jax.schema._toml_text import rewritten
+from aslo_jax.study._config import NAMES
 
 pytest.importorskip("llvmlite")
 TEXT = (files("aslo_jax.study") / "configs" / "double_integrator.toml").read_text("utf-8")

@@ -12,10 +12,10 @@ from loops import PAIRS, by_hand, program
 
 import aslo_jax as aslo
 from aslo_jax.engines import Runner
-from aslo_jax.engines.fused.program import Bodies, Program
-from aslo_jax.engines.ir.loop import varying
-from aslo_jax.engines.ir.rewrite import moving_roots
-from aslo_jax.engines.ir.specialisation import specialised
+from aslo_jax.engines._fused.program import Bodies, Program
+from aslo_jax.engines._ir.loop import varying
+from aslo_jax.engines._ir.rewrite import moving_roots
+from aslo_jax.engines._ir.specialisation import specialised
 from aslo_jax.metrics import AbstractMetric
 
 pytest.importorskip("llvmlite")

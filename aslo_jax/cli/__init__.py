@@ -18,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     usual = gc.get_threshold()
     gc.set_threshold(max(100_000, usual[0]), *usual[1:])
     try:
-        from .app import app
+        from ._app import app
 
         app(args=None if arguments is None else list(arguments), prog_name="aslo-jax")
     except (ImportError, OSError, ValueError) as error:

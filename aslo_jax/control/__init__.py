@@ -1,17 +1,17 @@
 """Controllers: open loop, of motors with an angle and without, bearings, mechanisms."""
 
-from .base import AbstractController as AbstractController, OpenLoop as OpenLoop
-from .field_oriented import (
+from ._base import AbstractController as AbstractController, OpenLoop as OpenLoop
+from ._field_oriented import (
     FieldOriented as FieldOriented,
     ForcedStart as ForcedStart,
     MotorFeedback as MotorFeedback,
     rotate as rotate,
 )
-from .magnetic_levitation import (
+from ._magnetic_levitation import (
     BearingFeedback as BearingFeedback,
     MagneticLevitation as MagneticLevitation,
 )
-from .tracking import (
+from ._tracking import (
     BallBeamTracking as BallBeamTracking,
     MechanicalFeedback as MechanicalFeedback,
     Tracking as Tracking,

@@ -4,15 +4,26 @@ a study's observers by gradients, and the file with these values.
 Above `machines`, `study` and `tune`, which know nothing of each other's files.
 """
 
-from .calibrated import (
+from ._calibrated import (
     calibrate_machine as calibrate_machine,
     calibrated_text as calibrated_text,
     values_of as values_of,
 )
-from .tuned import (
+from ._tuned import (
     Tuned as Tuned,
     calibrate_study as calibrate_study,
     changed as changed,
     machine_of as machine_of,
     tune_study as tune_study,
 )
+
+__all__ = [
+    "Tuned",
+    "calibrate_machine",
+    "calibrate_study",
+    "calibrated_text",
+    "changed",
+    "machine_of",
+    "tune_study",
+    "values_of",
+]

@@ -3,25 +3,40 @@
 from typing import TYPE_CHECKING
 
 from .._lazy import lazily as _lazily
-from .circle import Circle as Circle
+from ._circle import Circle as Circle
 
 if TYPE_CHECKING:
-    from .diagnose import Diagnosing as Diagnosing, diagnose as diagnose
-    from .repair import marked as marked, repaired as repaired, touched as touched
-    from .rows import Rows as Rows
-    from .timing import (
+    from ._diagnose import Diagnosing as Diagnosing, diagnose as diagnose
+    from ._repair import marked as marked, repaired as repaired, touched as touched
+    from ._rows import Rows as Rows
+    from ._timing import (
         retimed as retimed,
         retimed_pieces as retimed_pieces,
         shift_of as shift_of,
     )
-    from .value import Diagnosis as Diagnosis, Finding as Finding
+    from ._value import Diagnosis as Diagnosis, Finding as Finding
+
+__all__ = [
+    "Circle",
+    "Diagnosing",
+    "Diagnosis",
+    "Finding",
+    "Rows",
+    "diagnose",
+    "marked",
+    "repaired",
+    "retimed",
+    "retimed_pieces",
+    "shift_of",
+    "touched",
+]
 
 # A description of a machine needs a `Circle` alone.
 _NAMES = {
-    "diagnose": ("Diagnosing", "diagnose"),
-    "repair": ("marked", "repaired", "touched"),
-    "rows": ("Rows",),
-    "timing": ("retimed", "retimed_pieces", "shift_of"),
-    "value": ("Diagnosis", "Finding"),
+    "_diagnose": ("Diagnosing", "diagnose"),
+    "_repair": ("marked", "repaired", "touched"),
+    "_rows": ("Rows",),
+    "_timing": ("retimed", "retimed_pieces", "shift_of"),
+    "_value": ("Diagnosis", "Finding"),
 }
 __getattr__, __dir__ = _lazily(__name__, _NAMES)

@@ -1,23 +1,23 @@
 """Disturbances between controller, plant and observers, as modules."""
 
-from .base import (
+from ._base import (
     AbstractDisturbance as AbstractDisturbance,
     AbstractMemoryless as AbstractMemoryless,
     AbstractSampled as AbstractSampled,
     DisturbanceState as DisturbanceState,
 )
-from .bias import Bias as Bias, Drift as Drift, RandomWalk as RandomWalk
-from .chain import Chain as Chain
-from .dead_time import DeadTime as DeadTime
-from .delay import Delay as Delay
-from .gain import GainError as GainError
-from .lag import ParasiticLag as ParasiticLag
-from .missing import MissingSamples as MissingSamples
-from .noise import SampledNoise as SampledNoise, held_index as held_index
-from .quantisation import Encoder as Encoder, Quantisation as Quantisation
-from .saturation import Saturation as Saturation
-from .sinusoid import Sinusoid as Sinusoid
-from .streams import check_streams as check_streams
+from ._bias import Bias as Bias, Drift as Drift, RandomWalk as RandomWalk
+from ._chain import Chain as Chain
+from ._dead_time import DeadTime as DeadTime
+from ._delay import Delay as Delay
+from ._gain import GainError as GainError
+from ._lag import ParasiticLag as ParasiticLag
+from ._missing import MissingSamples as MissingSamples
+from ._noise import SampledNoise as SampledNoise, held_index as held_index
+from ._quantisation import Encoder as Encoder, Quantisation as Quantisation
+from ._saturation import Saturation as Saturation
+from ._sinusoid import Sinusoid as Sinusoid
+from ._streams import check_streams as check_streams
 
 __all__ = [
     "AbstractDisturbance",

@@ -16,3 +16,16 @@ from ._table import (
     check_suffix as check_suffix,
     write_table as write_table,
 )
+
+__all__ = [
+    "MOTOR",
+    "Frame",
+    "Log",
+    "LogError",
+    "LogReader",
+    "Signals",
+    "TableWriter",
+    "check_suffix",
+    "read_log",
+    "write_table",
+]

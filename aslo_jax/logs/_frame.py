@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 
-from ..frames import POWER, clarke, inverse_park
+from .._frames import POWER, clarke, inverse_park
 from ._error import Columns, LogError
 from ._names import ELECTRICAL, MECHANICAL, says
 from ._signals import Signals

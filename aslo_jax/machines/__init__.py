@@ -18,8 +18,8 @@ calibrated, and how they take part in studies.
 """
 
 from . import motor as motor, offers as offers
-from .ball_beam import BallBeamDescription as BallBeamDescription
-from .base import (
+from ._ball_beam import BallBeamDescription as BallBeamDescription
+from ._base import (
     AbstractDescription as AbstractDescription,
     Layout as Layout,
     MachineError as MachineError,
@@ -27,21 +27,21 @@ from .base import (
     Rate as Rate,
     Unknowns as Unknowns,
 )
-from .file import read_machine as read_machine, template as template
-from .frequency import (
+from ._file import read_machine as read_machine, template as template
+from ._frequency import (
     cutoff_for_positions as cutoff_for_positions,
     typical_frequency as typical_frequency,
 )
-from .interior_pmsm import InteriorPMSMDescription as InteriorPMSMDescription
-from .magnetic_bearing import MagneticBearingDescription as MagneticBearingDescription
-from .mechanical import MechanicalDescription as MechanicalDescription
-from .pmsm import PMSMDescription as PMSMDescription
-from .registry import KINDS as KINDS, known_kind as known_kind, studies as studies
-from .robotic_leg import RoboticLegDescription as RoboticLegDescription
-from .speed import cutoff_for as cutoff_for, electrical_speed as electrical_speed
-from .stepper import StepperDescription as StepperDescription
-from .study import Study as Study
-from .wrim import WRIMDescription as WRIMDescription
+from ._interior_pmsm import InteriorPMSMDescription as InteriorPMSMDescription
+from ._magnetic_bearing import MagneticBearingDescription as MagneticBearingDescription
+from ._mechanical import MechanicalDescription as MechanicalDescription
+from ._pmsm import PMSMDescription as PMSMDescription
+from ._registry import KINDS as KINDS, known_kind as known_kind, studies as studies
+from ._robotic_leg import RoboticLegDescription as RoboticLegDescription
+from ._speed import cutoff_for as cutoff_for, electrical_speed as electrical_speed
+from ._stepper import StepperDescription as StepperDescription
+from ._study import Study as Study
+from ._wrim import WRIMDescription as WRIMDescription
 
 __all__ = [
     "KINDS",

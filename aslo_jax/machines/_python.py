@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..plants import AbstractMechanicalSystem
-from .base import MachineError
+from ._base import MachineError
 
 
 def load_system(path: str, folder: Path) -> AbstractMechanicalSystem:

@@ -11,8 +11,8 @@ from jaxtyping import Float
 from ..logs import Log, Signals
 from ..plants import AbstractRoundMachine
 from ..schema import NoLoad, NonNegative, Numbers, Positive, Table, WaveTable, key
-from . import keys
-from .base import (
+from . import _keys as keys
+from ._base import (
     AbstractDescription,
     Columns,
     Layout,
@@ -24,7 +24,7 @@ from .base import (
     certified,
     in_columns,
 )
-from .speed import cutoff_for, turning_acceleration, turning_speed
+from ._speed import cutoff_for, turning_acceleration, turning_speed
 
 PLL_BANDWIDTH = 100.0  # rad/s, unless the log accelerates fast
 LAG = 0.3  # rad: what the angle of a loop may lag by at the acceleration of the log

@@ -9,9 +9,9 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from ..completions import AbstractCompletion, LeastSquares, Repeat
-from ..filters import LowPass
-from ..guard import Guard
+from .._completions import AbstractCompletion, LeastSquares, Repeat
+from .._filters import LowPass
+from .._guard import Guard
 from ..observers import (
     FO1,
     FO2,
@@ -30,7 +30,7 @@ from ..observers import (
     velocity_observer,
 )
 from ..plants import AbstractMechanicalSystem
-from .study import Build
+from ._study import Build
 
 Relations = Callable[[Any], Sequence[Any]]  # of a plant
 

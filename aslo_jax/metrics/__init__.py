@@ -1,28 +1,28 @@
 """Metrics of an experiment, computed sample by sample as it runs."""
 
-from .angles import (
+from ._angles import (
     AngleError as AngleError,
     FluxAngle as FluxAngle,
     PeakAngleError as PeakAngleError,
     RotorAngle as RotorAngle,
 )
-from .base import AbstractMetric as AbstractMetric
-from .coasting import CoastingFraction as CoastingFraction
-from .diverged import Diverged as Diverged
-from .errors import (
+from ._base import AbstractMetric as AbstractMetric
+from ._coasting import CoastingFraction as CoastingFraction
+from ._diverged import Diverged as Diverged
+from ._errors import (
     FinalError as FinalError,
     IntegralSquaredError as IntegralSquaredError,
     MeanError as MeanError,
     PeakError as PeakError,
     RMSError as RMSError,
 )
-from .functions import (
+from ._functions import (
     Final as Final,
     Integral as Integral,
     Maximum as Maximum,
     Mean as Mean,
 )
-from .settling import SettlingTime as SettlingTime
+from ._settling import SettlingTime as SettlingTime
 
 __all__ = [
     "AbstractMetric",

@@ -1,45 +1,45 @@
 """Observers: the protocol, the algebraic ones, their peers, and compositions."""
 
-from .algebraic import AlgebraicObserver as AlgebraicObserver
-from .angle import (
+from ._algebraic import AlgebraicObserver as AlgebraicObserver
+from ._angle import (
     AlgebraicMagnet as AlgebraicMagnet,
     MagnetAngle as MagnetAngle,
     electrical_angle as electrical_angle,
     rotor_angle as rotor_angle,
     track_angle as track_angle,
 )
-from .asymptotic import Asymptotic as Asymptotic
-from .base import (
+from ._asymptotic import Asymptotic as Asymptotic
+from ._base import (
     AbstractObserver as AbstractObserver,
     Estimate as Estimate,
     ObserverState as ObserverState,
 )
-from .bearing import BearingObserver as BearingObserver
-from .compose import Joined as Joined, SideBySide as SideBySide, Staged as Staged
-from .differentiators import (
+from ._bearing import BearingObserver as BearingObserver
+from ._compose import Joined as Joined, SideBySide as SideBySide, Staged as Staged
+from ._differentiators import (
     FilteredDerivative as FilteredDerivative,
     HighGain as HighGain,
     SuperTwisting as SuperTwisting,
 )
-from .extended_kalman import (
+from ._extended_kalman import (
     AbstractModel as AbstractModel,
     Belief as Belief,
     ExtendedKalman as ExtendedKalman,
     MechanicalModel as MechanicalModel,
     PMSMModel as PMSMModel,
 )
-from .fo1 import FO1 as FO1
-from .fo2 import FO2 as FO2
-from .fo3 import FO3 as FO3
-from .gated import Gated as Gated
-from .kalman import SteadyStateKalman as SteadyStateKalman
-from .lifted import Lifted as Lifted
-from .luenberger import ReducedLuenberger as ReducedLuenberger
-from .open_loop import OpenLoopIntegrator as OpenLoopIntegrator
-from .pll import PhaseLockedLoop as PhaseLockedLoop, wrap as wrap
-from .self_consistent import SelfConsistent as SelfConsistent
-from .unwrapped import Unwrapped as Unwrapped
-from .velocity import (
+from ._fo1 import FO1 as FO1
+from ._fo2 import FO2 as FO2
+from ._fo3 import FO3 as FO3
+from ._gated import Gated as Gated
+from ._kalman import SteadyStateKalman as SteadyStateKalman
+from ._lifted import Lifted as Lifted
+from ._luenberger import ReducedLuenberger as ReducedLuenberger
+from ._open_loop import OpenLoopIntegrator as OpenLoopIntegrator
+from ._pll import PhaseLockedLoop as PhaseLockedLoop, wrap as wrap
+from ._self_consistent import SelfConsistent as SelfConsistent
+from ._unwrapped import Unwrapped as Unwrapped
+from ._velocity import (
     CoordinateVelocity as CoordinateVelocity,
     MomentumRelation as MomentumRelation,
     Velocities as Velocities,

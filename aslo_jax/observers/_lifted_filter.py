@@ -22,8 +22,8 @@ from .._factored import (
     times,
     transposed_times,
 )
-from ..filters import AbstractLaw
-from ..relations import AbstractTerms, Linear
+from .._filters import AbstractLaw
+from .._relations import AbstractTerms, Linear
 from ._lifted_belief import LiftedBelief, Lists, lists_of
 from ._lifted_flow import flow
 from ._lifting import (

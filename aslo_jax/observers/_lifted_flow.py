@@ -18,7 +18,7 @@ from .._factored import (
     transposed_times,
     unit_inverse,
 )
-from ..relations import Quadratic, Rate
+from .._relations import Quadratic, Rate
 from ._lifted_belief import LiftedBelief, lists_of
 from ._lifting import (
     added,

@@ -19,8 +19,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PyTree
 
 from .._factored import Rows, dot, less, plus, product, times
+from .._relations import AbstractTerms, Linear, Quadratic, Rate
 from .._signals import check_signals
-from ..relations import AbstractTerms, Linear, Quadratic, Rate
 
 Relation = Callable[[PyTree, PyTree], AbstractTerms | tuple[AbstractTerms, ...]]
 

@@ -1,38 +1,38 @@
 """Plants: the systems whose states are observed."""
 
-from .base import AbstractPlant as AbstractPlant
-from .bearing import (
+from ._base import AbstractPlant as AbstractPlant
+from ._bearing import (
     BearingFluxRelation as BearingFluxRelation,
     BearingState as BearingState,
     MagneticBearing as MagneticBearing,
 )
-from .chain import ChainRelation as ChainRelation, IntegratorChain as IntegratorChain
-from .interior_pmsm import (
+from ._chain import ChainRelation as ChainRelation, IntegratorChain as IntegratorChain
+from ._interior_pmsm import (
     InteriorPMSM as InteriorPMSM,
     SalientFluxRelation as SalientFluxRelation,
     SelfConsistentFluxRelation as SelfConsistentFluxRelation,
 )
-from .machine import AbstractMachine as AbstractMachine, MachineState as MachineState
-from .magnet import (
+from ._machine import AbstractMachine as AbstractMachine, MachineState as MachineState
+from ._magnet import (
     AbstractMagnetMachine as AbstractMagnetMachine,
     AbstractRoundMachine as AbstractRoundMachine,
     FluxRelation as FluxRelation,
 )
-from .mechanical import (
+from ._mechanical import (
     AbstractMechanicalSystem as AbstractMechanicalSystem,
     MechanicalState as MechanicalState,
     MechanicalSystem as MechanicalSystem,
 )
-from .mechanisms import (
+from ._mechanisms import (
     BallBeam as BallBeam,
     CartOnArm as CartOnArm,
     InertiaWheelPendulum as InertiaWheelPendulum,
     RoboticLeg as RoboticLeg,
     VariableLengthPendulum as VariableLengthPendulum,
 )
-from .pmsm import PMSM as PMSM
-from .stepper import Stepper as Stepper
-from .wrim import WRIM as WRIM, WindingFluxRelation as WindingFluxRelation
+from ._pmsm import PMSM as PMSM
+from ._stepper import Stepper as Stepper
+from ._wrim import WRIM as WRIM, WindingFluxRelation as WindingFluxRelation
 
 __all__ = [
     "PMSM",

@@ -15,8 +15,8 @@ from ._style import BLACK, SETTINGS, color
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ..study.bands import Band
-    from ..study.tables import Table
+    from ..study._bands import Band
+    from ..study._tables import Table
 
 _TALL = 20.0  # beyond this ratio an axis is logarithmic
 _DASHED = BLACK | {"linewidth": 1.0}
@@ -37,7 +37,7 @@ def bands(
 
     **Arguments:**
 
-    - `study`: the `xarray.Dataset` of [`aslo_jax.study.run`][], with its trajectories
+    - `study`: the `xarray.Dataset` of [`aslo_jax.study._run`][], with its trajectories
       (`error` over `sample`, `time` and `observer`), or bands by observer, each an object
       with `low`, `median`, `high` and `worst`, shape `(T,)`;
     - `t`: the instants (s), shape `(T,)`, of bands alone; a dataset knows its own, its
@@ -100,7 +100,7 @@ def ranking(
 
     **Arguments:**
 
-    - `study`: the `xarray.Dataset` of [`aslo_jax.study.run`][];
+    - `study`: the `xarray.Dataset` of [`aslo_jax.study._run`][];
     - `metric`: the name of one, or names, by default all that are numbers;
     - `confidence` (1) of the comparisons that rank them;
     - `figure`: a figure or subfigure of matplotlib to draw into, or `axes`: one of its axes
@@ -111,7 +111,7 @@ def ranking(
     **Raises:** `ValueError` for a metric that the study has not, or axes that do not fit;
     `ImportError` naming the command that installs matplotlib.
     """
-    from ..study.tables import metrics, table
+    from ..study._tables import metrics, table
 
     known = metrics(study)
     wanted = [metric] if isinstance(metric, str) else list(metric or known)
@@ -168,8 +168,8 @@ def _bands(study: Any, t: Any, unit: str, bound: Any) -> "tuple[Any, Any, str, A
     if isinstance(study, Mapping) and not hasattr(study, "sizes"):
         found: Mapping[str, Band] = {str(name): band for name, band in study.items()}
     else:
-        from ..study.bands import bands as computed
-        from ..study.tables import BOUND, unit as unit_of
+        from ..study._bands import bands as computed
+        from ..study._tables import BOUND, unit as unit_of
 
         if "error" not in study:
             raise ValueError(

@@ -4,21 +4,21 @@ Machine descriptions and the files of studies are made of these; what a table me
 concern here. Files are written by `schema.toml_text`, which keeps their comments.
 """
 
-from .faults import (
+from ._faults import (
     choices as choices,
     explain as explain,
     hint as hint,
     unknown_key as unknown_key,
 )
-from .read import read_toml as read_toml
-from .signals import (
+from ._read import read_toml as read_toml
+from ._signals import (
     NoLoad as NoLoad,
     Signal as Signal,
     SupplyTable as SupplyTable,
     WaveInput as WaveInput,
     WaveTable as WaveTable,
 )
-from .table import (
+from ._table import (
     NonNegative as NonNegative,
     Numbers as Numbers,
     Positive as Positive,
@@ -27,4 +27,25 @@ from .table import (
     is_rate as is_rate,
     key as key,
 )
-from .template import template_lines as template_lines
+from ._template import template_lines as template_lines
+
+__all__ = [
+    "NoLoad",
+    "NonNegative",
+    "Numbers",
+    "Positive",
+    "Signal",
+    "SupplyTable",
+    "Table",
+    "WaveInput",
+    "WaveTable",
+    "Whole",
+    "choices",
+    "explain",
+    "hint",
+    "is_rate",
+    "key",
+    "read_toml",
+    "template_lines",
+    "unknown_key",
+]

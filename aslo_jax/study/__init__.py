@@ -3,8 +3,8 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from .designs import DESIGNS as DESIGNS
-from .distributions import (
+from ._designs import DESIGNS as DESIGNS
+from ._distributions import (
     AbstractDistribution as AbstractDistribution,
     Correlated as Correlated,
     Discrete as Discrete,
@@ -12,17 +12,17 @@ from .distributions import (
     Normal as Normal,
     Uniform as Uniform,
 )
-from .run import open_study as open_study, run as run
-from .spread import Parameter as Parameter, Spread as Spread
+from ._run import open_study as open_study, run as run
+from ._spread import Parameter as Parameter, Spread as Spread
 
 if TYPE_CHECKING:
     from .._report import write_report as write_report
-    from .bound import Bound as Bound, cramer_rao as cramer_rao, with_bound as with_bound
-    from .comparison import compare as compare, ranking as ranking
-    from .influence import influences as influences
-    from .reference import bound_of as bound_of
-    from .sensitivity import slopes as slopes, sobol_indices as sobol_indices
-    from .statistics import quantile as quantile, summarise as summarise
+    from ._bound import Bound as Bound, cramer_rao as cramer_rao, with_bound as with_bound
+    from ._comparison import compare as compare, ranking as ranking
+    from ._influence import influences as influences
+    from ._reference import bound_of as bound_of
+    from ._sensitivity import slopes as slopes, sobol_indices as sobol_indices
+    from ._statistics import quantile as quantile, summarise as summarise
 
 __all__ = [
     "DESIGNS",
@@ -52,18 +52,18 @@ __all__ = [
 
 # Evaluation needs scipy.stats, which is slow to import.
 _LATER = {
-    "Bound": "bound",
-    "cramer_rao": "bound",
-    "with_bound": "bound",
-    "bound_of": "reference",
-    "compare": "comparison",
-    "ranking": "comparison",
-    "influences": "influence",
+    "Bound": "_bound",
+    "cramer_rao": "_bound",
+    "with_bound": "_bound",
+    "bound_of": "_reference",
+    "compare": "_comparison",
+    "ranking": "_comparison",
+    "influences": "_influence",
     "write_report": "._report",
-    "slopes": "sensitivity",
-    "sobol_indices": "sensitivity",
-    "quantile": "statistics",
-    "summarise": "statistics",
+    "slopes": "_sensitivity",
+    "sobol_indices": "_sensitivity",
+    "quantile": "_statistics",
+    "summarise": "_statistics",
 }
 
 

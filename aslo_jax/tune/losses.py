@@ -13,16 +13,16 @@ from jaxtyping import Array, Float
 
 from .. import random
 from .._checks import nonnegative, positive, real, whole
+from .._experiment import Experiment, Record
 from .._module import Module
 from .._replay import replay
 from .._typing import Engine, PyTree, RealArray
 from ..engines import run_batch
-from ..engines.fused.plan import Plan
-from ..experiment import Experiment, Record
+from ..engines._fused.plan import Plan
 from ..metrics import AbstractMetric
-from ..metrics.base import MakeMetric, metric_of
+from ..metrics._base import MakeMetric, metric_of
 from ..observers import AbstractObserver
-from .checkpoints import checkpointed
+from ._checkpoints import checkpointed
 
 __all__ = [
     "AbstractLoss",

@@ -1,0 +1,129 @@
+"""Completions: from one row `r'x = b` to an estimate of all n entries of x."""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ._checks import kind
+from ._filters import AbstractFilter, LowPass
+from ._module import Module
+from ._realise import Pass
+from ._relations import Row, contract, settled, swap
+from ._small import safe_reciprocal, solve_definite, solve_rows
+from ._typing import RealArray
+
+__all__ = ["AbstractCompletion", "FilterBank", "LeastSquares", "Repeat"]
+
+
+class AbstractCompletion(Module):
+    """Completes a row to n independent ones and solves them.
+
+    Called with a pass and a row, it returns
+
+    - `x`, shape `(n,)`, in the units of the state;
+    - the certificate, shape `()`: the reciprocal condition number of the problem, taken as
+      the harmonic mean of the eigenvalues of the information matrix `R'R` whose columns
+      are scaled by the size of the terms that the row is the difference of. It is
+      dimensionless, at most about one, and zero where x is not observable: a state at
+      rest has small rows beside large terms.
+    """
+
+    @abc.abstractmethod
+    def __call__(
+        self, F: Pass, row: Row
+    ) -> tuple[Float[Array, " n"], Float[Array, ""]]: ...
+
+
+class Repeat(AbstractCompletion):
+    """The paper's completion: the Swapping Lemma again, n - 1 times, with one filter.
+
+    Source: paper, Prop. 2, w7 to w9; theory, section 3.
+    """
+
+    def __call__(self, F: Pass, row: Row) -> tuple[RealArray, RealArray]:
+        rows = [row]
+        for k in range(1, row.r.shape[-1]):
+            rows.append(swap(F.scope(f"repeat{k}"), rows[-1]))
+        return _solve(rows)
+
+
+def _several(filters: Any) -> tuple[AbstractFilter, ...]:
+    if not isinstance(filters, list | tuple):
+        kind("filters", filters, list, hint="a list of filters")
+    for k, each in enumerate(filters):
+        kind(f"filters[{k}]", each, AbstractFilter, hint="a filter")
+    return tuple(filters)
+
+
+class FilterBank(AbstractCompletion):
+    """One further row for each of `filters`, at least n - 1 of them; more than that are
+    solved in the sense of least squares.
+
+    Source: paper, O7 and conclusions ("different filters"); theory, section 3.
+    """
+
+    filters: tuple[AbstractFilter, ...] = eqx.field(converter=_several)
+
+    def __call__(self, F: Pass, row: Row) -> tuple[RealArray, RealArray]:
+        n = row.r.shape[-1]
+        if len(self.filters) < n - 1:
+            raise ValueError(
+                f"Argument `filters` must hold at least n - 1 = {n - 1} filters for a "
+                f"state of {n} entries, but got {len(self.filters)}."
+            )
+        bank = enumerate(self.filters, start=1)
+        return _solve([row] + [swap(F.using(f).scope(f"bank{k}"), row) for k, f in bank])
+
+
+class LeastSquares(AbstractCompletion):
+    """Kreisselmeier's regressor: `M = F[r r']`, `v = F[r b] + ...`, `x = M^-1 v`.
+
+    M is symmetric, positive semidefinite, and never crosses zero, so a change of sign of
+    the paper's determinant is no event. `forgetting` is the low-pass filter of M, by
+    default the observer's own.
+
+    Source: theory, section 3; Kreisselmeier 1977, doi:10.1109/TAC.1977.1101401.
+    """
+
+    forgetting: LowPass | None = None
+
+    def __call__(self, F: Pass, row: Row) -> tuple[RealArray, RealArray]:
+        forgetting = F.filter if self.forgetting is None else self.forgetting
+        if not isinstance(forgetting, LowPass):
+            raise ValueError(
+                "Argument `forgetting` must be a `LowPass` when the observer's filter is "
+                f"not one, but got {type(forgetting).__name__}: any other filter may make "
+                "the information matrix indefinite."
+            )
+        F = F.using(forgetting)
+        r, b, z, A = row.r, row.b, row.z, row.A
+        rr, rb = F.inject(r[:, None] * r), F.inject(r * b)
+        if A is None:
+            M = F.hidden(rr, "M")
+            v = F.hidden(rb + contract(M, z), "v")
+            # In a hole M decays and this does not, so that the certificate does.
+            scale = F.hidden(F.filter.inject(row.scale**2), "scale")
+        else:
+
+            def drive(M):
+                return rr - A.T @ M - M @ A
+
+            if row.constant and not F.exact:
+                M = settled(lambda M: F.filter.flow(M, drive(M)), rr)
+            else:
+                M = F.hidden(drive, "M", jnp.zeros_like(rr))
+            Mz = contract(M, z)
+            v = F.hidden(lambda v: rb + Mz - A.T @ v, "v", jnp.zeros_like(rb))
+            scale = row.scale**2
+        return solve_definite(M, v, scale)
+
+
+def _solve(rows: list[Row]) -> tuple[Float[Array, " n"], Float[Array, ""]]:
+    R = jnp.stack([row.r for row in rows])
+    b = jnp.stack([row.b for row in rows])
+    unit = safe_reciprocal(jnp.max(jnp.abs(R), axis=0) + rows[0].scale)
+    x, certificate = solve_rows(R * unit, b)
+    return x * unit, certificate

@@ -1,0 +1,335 @@
+"""Filters: the linear laws that an observer's equations are written in.
+
+A filter is used in state-space form, `X' = A X + v` with output `C X`, because the
+Swapping Lemma needs its inner state `X` and not only its output. `v` is either an
+injected signal, `v = B s`, or a product that the lemma asks for. The state of a
+filtered signal of shape `(...)` has shape `(order, ...)`; a [`LowPass`][] drops the
+axis of length one.
+"""
+
+import abc
+import math
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ._checks import kind, optional_real, positive, real, stable
+from ._module import Module
+from ._small import exponential_integrals
+from ._typing import PyTree, RealArray
+
+__all__ = [
+    "AbstractFilter",
+    "AbstractLaw",
+    "Integrator",
+    "LinearFilter",
+    "LinearSystem",
+    "LowPass",
+    "bias_rejecting",
+    "check_filter",
+    "second_order",
+    "sinusoid_rejecting",
+]
+
+
+class AbstractLaw(Module):
+    """How one named state evolves, in continuous and in sampled time."""
+
+    @abc.abstractmethod
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
+        """The derivative `X'` at state `X` and drive `v` (units of `X` per second)."""
+
+    @abc.abstractmethod
+    def discretise(self, h: Float[Array, ""] | float) -> PyTree:
+        """What `advance` needs for an interval of `h` seconds; computed once."""
+
+    @abc.abstractmethod
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
+        """The state after the interval, the drive being `v0` at its left end and `v1`
+        at its right end."""
+
+
+class Integrator(AbstractLaw):
+    """`X' = v`: any state that is not a filter. Sampled by the trapezoidal rule, which
+    is Heun's method when `v` depends on `X`."""
+
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
+        del X
+        return v
+
+    def discretise(self, h: RealArray | float) -> PyTree:
+        return h
+
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
+        # Time may be double where the state is single; a state keeps its precision.
+        half = jnp.asarray(0.5 * coefficients, jnp.result_type(X))
+        return X + half * (v0 + v1)
+
+
+class AbstractFilter(AbstractLaw):
+    """A proper, stable, linear time-invariant filter `F(s) = D + C (sI - A)^-1 B`.
+
+    `advance` is exact for a drive that is linear over the interval (first-order hold),
+    and so for a held drive too.
+    """
+
+    @property
+    @abc.abstractmethod
+    def strictly_proper(self) -> bool:
+        """Whether `D = 0`, so that `pF` is proper."""
+
+    @abc.abstractmethod
+    def inject(self, s: Float[Array, "..."] | float) -> Array:
+        """`B s`: the drive of a filtered signal, shape `(order, ...)`."""
+
+    @abc.abstractmethod
+    def output(self, X: Array) -> Float[Array, "..."]:
+        """`C X`: the filtered signal without feedthrough."""
+
+    @abc.abstractmethod
+    def feedthrough(self, s: Float[Array, "..."] | float) -> Float[Array, "..."] | float:
+        """`D s`."""
+
+    @abc.abstractmethod
+    def equilibrium(self, s: Float[Array, "..."] | float) -> Array:
+        """`-A^-1 B s`: the state at which a constant signal `s` has settled."""
+
+
+def check_filter(filter: Any) -> None:
+    """Refuse what is no filter, a rate for instance."""
+    kind("filter", filter, AbstractFilter, hint="a filter such as `LowPass(20.0)`")
+
+
+class _Hold(NamedTuple):
+    """First-order hold: `X1 = decay X0 + left v0 + right v1`."""
+
+    decay: Array
+    left: Array
+    right: Array
+
+
+def _scalar_hold(rate: Array, h: Array) -> _Hold:
+    # With v = rate h and p = (1 - exp(-v))/v the weights are h (p - a)/v and
+    # h (1 - p)/v. Both lose their digits to cancellation as v -> 0, hence the series of
+    # phi2 = (1 - p)/v below v = 1/2, whose first omitted term is below 1e-17.
+    v = rate * h
+    small = v < 0.5
+    v_small = jnp.where(small, v, 0.0)
+    phi2 = jnp.zeros_like(v_small)
+    for k in reversed(range(14)):
+        phi2 = 1.0 / math.factorial(k + 2) - v_small * phi2
+    phi1 = 1.0 - v_small * phi2
+    v_large = jnp.where(small, 1.0, v)
+    p = -jnp.expm1(-v_large) / v_large
+    left = jnp.where(small, phi1 - phi2, (p - jnp.exp(-v_large)) / v_large)
+    right = jnp.where(small, phi2, (1.0 - p) / v_large)
+    return _Hold(jnp.exp(-v), h * left, h * right)
+
+
+class LowPass(AbstractFilter):
+    """`F(s) = rate / (s + rate)`, the filter of the paper (eq. fil), `rate` in rad/s.
+
+    Its state is the filtered signal itself.
+
+    Source: theory, sections 2 and 8; paper, eq. (fil).
+    """
+
+    rate: Float[Array, ""] = eqx.field(converter=real)
+
+    def __check_init__(self) -> None:
+        positive("rate", self.rate, "rad/s")
+        if jnp.ndim(self.rate) and isinstance(self.rate, jax.Array):
+            raise ValueError(
+                "Argument `rate` must be a number (rad/s), but got an array of shape "
+                f"{self.rate.shape}; make one filter for each rate, by `jax.vmap` or in a "
+                "`FilterBank`."
+            )
+
+    @property
+    def strictly_proper(self) -> bool:
+        return True
+
+    def inject(self, s: RealArray | float) -> RealArray:
+        return self.rate * s
+
+    def output(self, X: RealArray) -> RealArray:
+        return X
+
+    def feedthrough(self, s: RealArray | float) -> RealArray | float:
+        return 0.0
+
+    def equilibrium(self, s: RealArray | float) -> RealArray:
+        return jnp.asarray(s, jnp.result_type(s, self.rate))
+
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
+        return v - self.rate * X
+
+    def discretise(self, h: RealArray | float) -> PyTree:
+        return _scalar_hold(self.rate, jnp.asarray(h, self.rate.dtype))
+
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
+        decay, left, right = coefficients
+        return decay * X + left * v0 + right * v1
+
+
+class LinearSystem(AbstractLaw):
+    """`X' = A X + v`, the state of any linear observer; `A` of shape `(k, k)`, in 1/s.
+
+    Sampled exactly for a drive that is linear over the interval.
+    """
+
+    A: Float[Array, "k k"] = eqx.field(converter=real)
+
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
+        return jnp.tensordot(self.A, X, axes=1) + v
+
+    def discretise(self, h: RealArray | float) -> PyTree:
+        h = jnp.asarray(h, self.A.dtype)
+        decay, phi1, phi2 = exponential_integrals(self.A * h)
+        right = h * phi2
+        return _Hold(decay, h * phi1 - right, right)
+
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
+        decay, left, right = coefficients
+        return (
+            jnp.tensordot(decay, X, axes=1)
+            + jnp.tensordot(left, v0, axes=1)
+            + jnp.tensordot(right, v1, axes=1)
+        )
+
+
+class Switched(AbstractLaw):
+    """`measured`, or `alone` where a sample is `missing`: the same state without what is
+    measured. Both are driven by what is known in either case."""
+
+    measured: AbstractLaw
+    alone: AbstractLaw
+    missing: Bool[Array, ""]
+
+    def _either(self, a: PyTree, b: PyTree) -> PyTree:
+        return jax.tree.map(lambda a, b: jnp.where(self.missing, a, b), a, b)
+
+    def flow(self, X, v):
+        return self._either(self.alone.flow(X, v), self.measured.flow(X, v))
+
+    def discretise(self, h):
+        return self.measured.discretise(h), self.alone.discretise(h)
+
+    def advance(self, X, v0, v1, coefficients):
+        measured, alone = coefficients
+        return self._either(
+            self.alone.advance(X, v0, v1, alone),
+            self.measured.advance(X, v0, v1, measured),
+        )
+
+
+class LinearFilter(AbstractFilter):
+    """Any proper stable filter `F(s) = D + C (sI - A)^-1 B` of order `k`.
+
+    `D=None` declares it strictly proper, which a rate relation requires (it uses `pF`).
+    """
+
+    A: Float[Array, "k k"] = eqx.field(converter=real)
+    B: Float[Array, " k"] = eqx.field(converter=real)
+    C: Float[Array, " k"] = eqx.field(converter=real)
+    D: Float[Array, ""] | None = eqx.field(converter=optional_real, default=None)
+
+    def __check_init__(self) -> None:
+        shapes = jnp.shape(self.A), jnp.shape(self.B), jnp.shape(self.C)
+        if len(shapes[0]) == 2 and shapes != (2 * shapes[1], shapes[1], shapes[1]):
+            raise ValueError(
+                "Arguments `A`, `B`, `C` must have shapes (k, k), (k,) and (k,), but got "
+                f"{shapes[0]}, {shapes[1]} and {shapes[2]}."
+            )
+        stable("A", self.A)
+
+    @property
+    def strictly_proper(self) -> bool:
+        return self.D is None
+
+    def inject(self, s: RealArray | float) -> RealArray:
+        return jnp.multiply.outer(self.B, s)
+
+    def output(self, X: RealArray) -> RealArray:
+        return jnp.tensordot(self.C, X, axes=1)
+
+    def feedthrough(self, s: RealArray | float) -> RealArray | float:
+        return 0.0 if self.D is None else self.D * s
+
+    def equilibrium(self, s: RealArray | float) -> RealArray:
+        return jnp.multiply.outer(-jnp.linalg.solve(self.A, self.B), s)
+
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
+        return LinearSystem(self.A).flow(X, v)
+
+    def discretise(self, h: RealArray | float) -> PyTree:
+        return LinearSystem(self.A).discretise(h)
+
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
+        return LinearSystem(self.A).advance(X, v0, v1, coefficients)
+
+
+def second_order(
+    natural_frequency: Float[Array, ""] | float,
+    damping: Float[Array, ""] | float = 0.5**0.5,
+) -> LinearFilter:
+    """`w0^2 / (s^2 + 2 zeta w0 s + w0^2)`, `natural_frequency` w0 in rad/s.
+
+    With `damping = sqrt(1/2)` and `w0 = (W/V)^(1/4)` the algebraic observer of the double
+    integrator *is* its steady-state Kalman filter (theory, section 2), W and V being the
+    two-sided intensities of the input and measurement noise.
+    """
+    w, zeta = real(natural_frequency), real(damping)
+    positive("natural_frequency", w, "rad/s")
+    positive("damping", zeta)
+    zero = jnp.zeros_like(w)
+    A = jnp.stack([jnp.stack([zero, w]), jnp.stack([-w, -2.0 * zeta * w])])
+    return LinearFilter(A, jnp.stack([zero, w]), jnp.stack([zero + 1.0, zero]))
+
+
+def bias_rejecting(rate: Float[Array, ""] | float) -> LinearFilter:
+    """`(2 lam s + lam^2) / (s + lam)^2`, whose derivative at `s = 0` vanishes; `rate`
+    lam in rad/s.
+
+    A constant bias on the input of the double integrator then leaves no error (theory,
+    section 2), which the paper claims of the first-order filter (O4).
+    """
+    lam = real(rate)
+    positive("rate", lam, "rad/s")
+    zero = jnp.zeros_like(lam)
+    A = jnp.stack([jnp.stack([zero, lam]), jnp.stack([-lam, -2.0 * lam])])
+    return LinearFilter(A, jnp.stack([zero, lam]), jnp.stack([zero + 1.0, zero + 2.0]))
+
+
+def sinusoid_rejecting(
+    rate: Float[Array, ""] | float,
+    frequency: Float[Array, ""] | float,
+    damping: Float[Array, ""] | float = 0.7,
+) -> LinearFilter:
+    """A low-pass filter with an internal model of a sinusoid,
+    `rate/(s + rate) (s^2 + w0^2)/(s^2 + 2 zeta w0 s + w0^2)`; `rate` and `frequency` w0
+    in rad/s.
+
+    Zeros at +-j w0 reject a sinusoid of that frequency on the *sensor* (paper,
+    conclusions; theory, section 2). `F[1]` of this form never crosses zero.
+    """
+    lam, w, zeta = real(rate), real(frequency), real(damping)
+    positive("rate", lam, "rad/s")
+    positive("frequency", w, "rad/s")
+    positive("damping", zeta)
+    # The low-pass output x1 drives the notch in controllable form, whose output is
+    # x1 - 2 zeta w0 x3, the zeros being those of s^2 + w0^2.
+    zero = jnp.zeros_like(lam * w * zeta)
+    A = jnp.stack(
+        [
+            jnp.stack([zero - lam, zero, zero]),
+            jnp.stack([zero, zero, zero + w]),
+            jnp.stack([zero + 1.0, zero - w, -2.0 * zeta * w + zero]),
+        ]
+    )
+    B = jnp.stack([zero + lam, zero, zero])
+    C = jnp.stack([zero + 1.0, zero, -2.0 * zeta * w + zero])
+    return LinearFilter(A, B, C)

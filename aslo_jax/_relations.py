@@ -1,0 +1,234 @@
+"""Relations between the unmeasured state and measured signals, and their rows.
+
+A relation is any callable `relation(u, y)` that returns the terms of one equation in the
+unmeasured `x` at an instant: [`Linear`][], [`Rate`][] or [`Quadratic`][]. `x` has a known
+derivative `x' = A x + z` (`A` mostly absent). The Swapping Lemma turns the terms into a
+[`Row`][], `r'x = b` with r and b measured, and a row into further rows.
+"""
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ._module import Module
+from ._realise import Pass
+from ._signals import check_signals
+from ._typing import PyTree
+
+__all__ = [
+    "AbstractTerms",
+    "Linear",
+    "Quadratic",
+    "Rate",
+    "Row",
+    "contract",
+    "filtered_rows",
+    "settled",
+    "swap",
+    "terms_of",
+]
+
+
+class Row(Module):
+    """One row `r'x = b`, or a batch of them, with `x' = A x + z`."""
+
+    r: Float[Array, "*rows n"]
+    b: Float[Array, "*rows"]
+    z: Float[Array, " n"]
+    A: Float[Array, "n n"] | None
+    # What r is measured against, entry by entry: its settled size, or the size of the
+    # terms that it is the difference of. A small r beside them is rounding and noise.
+    scale: Float[Array, " n"]
+    # Whether r is a constant once its filters have settled, which is how the paper's
+    # start takes it.
+    constant: bool = eqx.field(static=True, default=False)
+
+
+class AbstractTerms(Module):
+    """The terms of a relation at an instant."""
+
+    z: eqx.AbstractVar[Float[Array, " n"]]
+    A: eqx.AbstractVar[Float[Array, "n n"] | None]
+
+    @abc.abstractmethod
+    def row(self, F: Pass) -> Row:
+        """The relation as a row `r'x = b` free of unmeasured derivatives."""
+
+    def check(self, relation: Callable[..., Any]) -> None:
+        """Refuse terms that have broadcast: of `relation`, which is named."""
+        if self.z.ndim != 1:
+            raise ValueError(
+                f"The term `z` of a relation must have the shape (n,) of the state, but "
+                f"{_name(relation)} gives {self.z.shape}; check the shapes of `u` and `y`."
+            )
+        n = self.z.shape[0]
+        for name, shape in (("c", (n,)), ("d", ()), ("s", ()), ("A", (n, n))):
+            term = getattr(self, name, None)
+            if term is not None and jnp.shape(term) != shape:
+                raise ValueError(
+                    f"The term `{name}` of a relation must have the shape {shape} beside a "
+                    f"`z` of shape {(n,)}, but {_name(relation)} gives {jnp.shape(term)}; "
+                    "check the shapes of `u` and `y`."
+                )
+
+    def drift(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
+        """The known derivative `A x + z` at `x` (units of x per second)."""
+        return self.z if self.A is None else self.A @ x + self.z
+
+
+class Linear(AbstractTerms):
+    """`c'x = d`, with `x' = A x + z`: already a row (theory, section 2)."""
+
+    c: Float[Array, " n"]
+    d: Float[Array, ""]
+    z: Float[Array, " n"]
+    A: Float[Array, "n n"] | None = None
+
+    def row(self, F: Pass) -> Row:
+        scale = _size(F, self.c, self.A)
+        return Row(self.c, self.d, self.z, self.A, scale)
+
+
+class Rate(AbstractTerms):
+    """`c'x = d + s'`, with `x' = A x + z` and `s` measured but not its derivative.
+
+    `b = F[d] + pF[s] + (swapping term)`, `r = F[c]` (theory, section 2; Prop. 1 with
+    c = 1, s = y, z = u). `constant=True` declares that c and A do not vary, so that the
+    paper's start takes F[c] as settled.
+    """
+
+    c: Float[Array, " n"]
+    s: Float[Array, ""]
+    z: Float[Array, " n"]
+    d: Float[Array, ""] | None = None
+    A: Float[Array, "n n"] | None = None
+    constant: bool = eqx.field(static=True, default=False)
+
+    def row(self, F: Pass) -> Row:
+        X = filtered_rows(F, self.c, self.A, self.constant, "r")
+        drive = contract(X, self.z)
+        if self.d is not None:
+            drive = drive + F.inject(self.d)
+        # With the paper's start a varying c has F[c] from zero; were pF[s] from zero too,
+        # the estimate would begin as s(0)/t.
+        settled = F.exact or not self.constant
+        b = F.p(self.s, "s", settled=settled) + F.output(F.hidden(drive, "b"))
+        scale = _size(F, self.c, self.A, self.constant)
+        return Row(F.output(X), b, self.z, self.A, scale, self.constant)
+
+
+class Quadratic(AbstractTerms):
+    """`1/2 x'Q x = c'x + d`, with `x' = z` and Q constant and symmetric.
+
+    The relation times F[1], less the filtered relation, has no quadratic term left:
+    `r = C K - (C H) c`, `b = (C H) d + C W` with `H' = A H + B`,
+    `K' = A K + B c' + H (Q z)'`, `W' = A W - B d + K z` (theory, section 2; Prop. 2).
+    A constant in d drops out with the exact start. Where Q is a number, that times the
+    identity is meant.
+    """
+
+    Q: Float[Array, "n n"] | Float[Array, ""]
+    c: Float[Array, " n"]
+    d: Float[Array, ""]
+    z: Float[Array, " n"]
+    A: Float[Array, "n n"] | None = eqx.field(default=None, init=False)
+
+    def times(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
+        """`Q x`."""
+        return self.Q * x if self.Q.ndim == 0 else contract(self.Q, x)
+
+    def row(self, F: Pass) -> Row:
+        H = F.settling("one")
+        Qz = self.times(self.z)
+        K = F.hidden(F.inject(self.c) + jnp.multiply.outer(H, Qz), "r")
+        W = F.hidden(contract(K, self.z) - F.inject(self.d), "b")
+        one, k = F.output(H), F.output(K)
+        r = k - one * self.c
+        b = one * self.d + F.output(W)
+        return Row(r, b, self.z, None, jnp.abs(k) + jnp.abs(one * self.c))
+
+
+def terms_of(relation: Callable[..., AbstractTerms], u: PyTree, y: PyTree) -> AbstractTerms:
+    """The terms of a relation at `u` and `y`, whose shapes, and those of the terms, are
+    what the relation declares and what its kind of terms has.
+
+    **Raises:** `ValueError` for a signal, or terms, of another shape."""
+    check_signals(relation, type(relation).__call__, u, y)
+    terms = relation(u, y)
+    terms.check(relation)
+    return terms
+
+
+def _name(relation: Callable[..., Any]) -> str:
+    return f"`{getattr(relation, '__name__', type(relation).__name__)}`"
+
+
+def contract(X: Float[Array, "*order n"], z: Float[Array, " n"]) -> Float[Array, "*order"]:
+    """`X z`, elementwise so that it fuses with what surrounds it."""
+    return jnp.sum(X * z, axis=-1)
+
+
+def filtered_rows(
+    F: Pass,
+    r: Float[Array, "*rows n"],
+    A: Float[Array, "n n"] | None,
+    constant: bool,
+    name: str,
+) -> Float[Array, "*order_rows n"]:
+    """`X' = A_f X + B r' - X A`, the hidden state of the filtered rows.
+
+    Constant rows are taken as settled with the paper's start.
+    """
+    injected = F.inject(r)
+    if constant and not F.exact:
+        if A is None:
+            return F.filter.equilibrium(r)
+        return _settled_rows(F, injected, A)
+    if A is None:
+        return F.hidden(injected, name)
+    return F.hidden(lambda X: injected - X @ A, name, jnp.zeros_like(injected))
+
+
+def _size(
+    F: Pass, c: Float[Array, " n"], A: Float[Array, "n n"] | None, constant: bool = False
+) -> Array:
+    """What the entries of a filtered row settle at; A spreads c over all of them."""
+    if A is None:
+        return jnp.abs(c)
+    # A scale only: the estimate does not depend on it, so neither does its gradient. The
+    # rows of a mode that F is no faster than do not settle.
+    settled = jax.lax.stop_gradient(F.output(_settled_rows(F, F.inject(c), A)))
+    size = jnp.abs(c) + jnp.where(jnp.isfinite(settled), jnp.abs(settled), 0.0)
+    return F.state("scale", size, jnp.zeros_like(size)) if constant else size
+
+
+def _settled_rows(F: Pass, injected: Array, A: Float[Array, "n n"]) -> Array:
+    return settled(lambda X: F.filter.flow(X, injected) - X @ A, injected)
+
+
+def settled(rate: Callable[[Array], Array], like: Array) -> Array:
+    """The X of the shape of `like` with `rate(X) = 0`, `rate` being affine."""
+
+    def flat(X):
+        return rate(X.reshape(like.shape)).reshape(-1)
+
+    zero = jnp.zeros(like.size, like.dtype)
+    return jnp.linalg.solve(jax.jacfwd(flat)(zero), -flat(zero)).reshape(like.shape)
+
+
+def swap(F: Pass, row: Row) -> Row:
+    """A further row from a row, or from a batch of them, by the Swapping Lemma.
+
+    `F[r'x] = F[b]` becomes `(C X + D r')x = C E + D b` with `X' = A_f X + B r' - X A` and
+    `E' = A_f E + X z + B b` (theory, section 2, general filter; paper, App. A).
+    """
+    X = filtered_rows(F, row.r, row.A, row.constant, "r")
+    E = F.hidden(contract(X, row.z) + F.inject(row.b), "b")
+    r = F.output(X) + F.filter.feedthrough(row.r)
+    b = F.output(E) + F.filter.feedthrough(row.b)
+    return Row(r, b, row.z, row.A, row.scale, row.constant)

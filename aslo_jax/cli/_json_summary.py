@@ -1,0 +1,80 @@
+"""The summary of `aslo-jax estimate` for programs: every figure by a stable key."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ._running import Done
+
+
+def summary_of(done: Done) -> dict[str, Any]:
+    """`warnings`, a list of `{"kind", "message", "rows"}`; `columns` of the table;
+    `log`, `machine`, `rates` (rad/s), `coasting` by suffix, `quantities` with their figures
+    and `diagnosis`, the figures behind the verdict. What is not finite is null."""
+    summary = done.summary
+    reader, machine = summary.reader, summary.machine
+    t = reader.t
+    return _finite(
+        {
+            "warnings": [
+                {"kind": kind, "message": message, "rows": list(rows)}
+                for kind, message, rows in done.findings()
+            ],
+            "columns": list(done.columns),
+            "log": {
+                "file": str(reader.path),
+                "rows": int(t.size),
+                "duration": float(t[-1] - t[0]),
+                "interval": float(reader.interval),
+            },
+            "machine": machine.kind,
+            "substeps": summary.substeps,
+            "rates": {name: float(rate.value) for name, rate in summary.rates.items()},
+            "coasting": {
+                suffix.removeprefix("_"): {
+                    "rows": rows,
+                    "share": rows / t.size,
+                    "settled": summary.settled.get(suffix),
+                }
+                for suffix, rows in summary.coasting.items()
+            },
+            "scored": summary.scored,
+            "quantities": {q.name: _figures(done, q) for q in machine.quantities},
+            "diagnosis": dict(done.diagnosis.figures),
+            "notes": list(done.diagnosis.notes),
+        }
+    )
+
+
+def write_json(path: Path, done: Done) -> None:
+    """Write [`summary_of`][] to `path`."""
+    text = json.dumps(summary_of(done), indent=2, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def _figures(done: Done, quantity: Any) -> dict[str, Any]:
+    summary = done.summary
+    figures: dict[str, Any] = {"unit": quantity.unit}
+    if kept := summary.relative.get(quantity.name):
+        x = np.concatenate(kept)
+        if x.size:
+            figures["relative_median"] = float(np.median(x))
+            figures["relative_max"] = float(x.max())
+    name = quantity.columns[0]
+    if name in summary.errors:
+        errors = summary.errors[name]
+        figures["error_bias"], figures["error_scatter"] = errors.bias, errors.scatter
+        figures["error_rms"] = float(np.hypot(errors.bias, errors.scatter))
+        figures["truth_rms"] = summary.sizes[name].rms
+    return figures
+
+
+def _finite(x: Any) -> Any:
+    if isinstance(x, dict):
+        return {key: _finite(value) for key, value in x.items()}
+    if isinstance(x, list):
+        return [_finite(value) for value in x]
+    return None if isinstance(x, float) and not math.isfinite(x) else x

@@ -1,0 +1,127 @@
+"""A log read, estimated, written and summed up piece by piece."""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..diagnosis import Diagnosing, Diagnosis, repaired, retimed_pieces
+from ..logs import Log, LogReader, TableWriter
+from ..machines import AbstractDescription
+from ..machines._base import Rates
+from . import _table as table
+from ._summary import Summary
+from ._table import Estimator
+from ._trace import Trace
+
+
+@dataclasses.dataclass(frozen=True)
+class Done:
+    """What is known of a table that was written, and of its log; `slow`: why it was not
+    done by machine code, if it was not."""
+
+    summary: Summary
+    trace: Trace
+    diagnosis: Diagnosis
+    columns: tuple[str, ...]
+    slow: str
+
+    def findings(self) -> Iterator[tuple[str, str, tuple[int, ...]]]:
+        """Kind, message and rows of every warning."""
+        if self.slow:
+            yield "slow_engine", self.slow, ()
+        for finding in self.diagnosis.warnings:
+            yield finding.kind, finding.message, finding.rows
+        for kind, message in self.summary.warnings():
+            yield kind, message, ()
+
+
+def opened(
+    path: Path,
+    machine: AbstractDescription,
+    given: Mapping[str, float],
+    *,
+    columns: Mapping[str, str],
+    truth: bool,
+    max_gap: float | None,
+    **chain: Any,
+) -> tuple[LogReader, Rates]:
+    """A log, read once and checked, and the rates of the observer for it; `chain` is what
+    else [`LogReader`][] takes."""
+    watched: list[Log] = []
+    known = not machine.chooses(given)
+    reader = LogReader(
+        path,
+        machine.signals,
+        columns=columns,
+        truth=truth,
+        max_gap=max_gap,
+        watch=lambda log: None if known else watched.append(machine.condensed(log)),
+        **chain,
+    )
+    if known:
+        nothing = np.zeros((reader.t.size, 0))
+        return reader, machine.rates_of(Log(reader.t, nothing, nothing, {}), given)
+    joined = lambda pieces: np.concatenate(list(pieces))
+    u, y = joined(x.u for x in watched), joined(x.y for x in watched)
+    watched.clear()
+    there = np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)
+    if not there.all():  # samples that are missing are left to the observer
+        condensed = Log(reader.t[there], u[there], y[there], {})
+    else:
+        condensed = Log(reader.t, u, y, {})
+    return reader, machine.rates_of(condensed, given)
+
+
+def tabulated(
+    reader: LogReader,
+    machine: AbstractDescription,
+    rates: Rates,
+    substeps: int,
+    out: Path,
+    drawn: bool,
+    progress: Callable[[int], object],
+    *,
+    align: bool = False,
+    shift: float = 0.0,
+    keep_outliers: bool = False,
+) -> Done:
+    """Write the table of estimates to `out`; `progress` is told of rows as they are done.
+    Inputs are moved by `shift` rows, and outliers are left out unless they are kept.
+
+    A phase-locked loop starts where its angle is certified. Where it never is, which the
+    end of the log tells, the loop starts in the first row: the log is run again. So it is
+    to take the bias of angles from their errors, with `align`."""
+    first, offsets, again = None, dict[str, float](), False
+    names: tuple[str, ...] = ()
+    while True:
+        summary = Summary(reader, machine, rates, substeps)
+        summary.offsets = offsets
+        trace = Trace(machine, reader.t.size)
+        diagnosing = Diagnosing(machine.circles(), reader.t.size, reader.interval)
+        estimator = Estimator(machine, rates, reader.t, substeps, first, offsets)
+        with TableWriter(out) as writer:
+            pairs = [circle.inputs for circle in machine.circles()]
+            for log in retimed_pieces(reader.pieces(table.PIECE), shift, pairs):
+                suspect = diagnosing.add(log)
+                if keep_outliers:
+                    suspect = suspect.without_outliers()
+                log = repaired(log, suspect)
+                piece = estimator(log, suspect)
+                writer.write(piece.columns)
+                names = tuple(piece.columns)
+                summary.add(piece)
+                if drawn:
+                    trace.add(piece, log)
+                if not again:
+                    progress(log.t.size - 1)
+        again = True
+        if not estimator.complete:
+            first = 0
+        elif align and not offsets and summary.biases():
+            offsets = summary.biases()
+        else:
+            verdict = diagnosing.result(keep_outliers)
+            return Done(summary, trace, verdict, names, estimator.observed.slow)

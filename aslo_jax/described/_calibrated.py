@@ -1,0 +1,84 @@
+"""The calibration of a described machine, and its file with the values that were found."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..logs import Log
+from ..machines import AbstractDescription, MachineError
+from ..schema import hint
+from ..schema._toml_text import rewritten
+from ..tune import Calibration, calibrate
+
+
+def calibrate_machine(
+    machine: AbstractDescription[Any, Any],
+    log: Log,
+    parameters: Sequence[str] = (),
+    **settings: Any,
+) -> Calibration:
+    """[`calibrate`][] for a described machine.
+
+    - `parameters`: keys of `[machine]`, by default all that its relation depends on;
+    - `settings`: of [`calibrate`][].
+
+    **Raises:** [`MachineError`][] for a kind that offers no parameters, and for a name that
+    is not one of them.
+    """
+    kind, unknowns = machine.kind, machine.unknowns
+    if unknowns.refused or not unknowns.usual:
+        raise MachineError(
+            f'A machine of kind "{kind}" has no calibration: '
+            f"{unknowns.refused or 'its description offers no parameters'}."
+        )
+    every = unknowns.usual
+    known = (*every, *unknowns.further)
+    for name in parameters:
+        if name not in known:
+            near = hint(name, known, "; did you mean `{}`?") or "."
+            raise MachineError(
+                f"Argument `parameters` (option --parameter) must name one of "
+                f'{", ".join(known)} for a machine of kind "{kind}", but got `{name}`{near}'
+            )
+    names = tuple(parameters) or every
+    if not parameters:
+        # What is zero in the file is taken to be absent, unless it is asked for.
+        names = tuple(n for n in names if np.any(np.asarray(getattr(machine.machine, n))))
+    return calibrate(
+        machine.plant(),
+        log.t,
+        log.u,
+        log.y,
+        where=lambda plant: tuple(getattr(plant, name) for name in names),
+        **settings,
+    )
+
+
+def values_of(machine: AbstractDescription[Any, Any], found: Calibration) -> dict[str, Any]:
+    """The keys of `[machine]` that a calibration changes, with their new values: numbers,
+    or lists of them. A value that is not determined stays."""
+    values: dict[str, Any] = {}
+    for name in found.after:
+        key, _, entry = name.partition("[")
+        if not np.isfinite(found.after[name]) or not hasattr(machine.machine, key):
+            continue
+        old = np.asarray(getattr(machine.machine, key), float)
+        new = np.array(values.get(key, old))
+        if entry and new.ndim:
+            new[int(entry.rstrip("]"))] = found.after[name]
+        else:
+            new = np.asarray(found.after[name])
+        # Seven digits are more than any record determines.
+        values[key] = np.vectorize(lambda x: float(f"{x:.7g}"))(new).tolist()
+    return values
+
+
+def calibrated_text(text: str, values: Mapping[str, Any]) -> str:
+    """A description with new `values` in `[machine]`; all else, comments too, as it was.
+
+    **Raises:** [`MachineError`][] where a value is not on one line of its own."""
+    try:
+        return rewritten(text, {"machine": values})
+    except ValueError as error:
+        raise MachineError(str(error)) from error

@@ -1,0 +1,270 @@
+"""The gains of a study's file, tuned for the samples that the file describes, and its
+machine calibrated from a log before."""
+
+import copy
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .. import random
+from .._experiment import Experiment
+from .._typing import Engine
+from ..engines import run_batch
+from ..logs import Log
+from ..machines import AbstractDescription, known_kind
+from ..schema._toml_text import table_of
+from ..study._config import Configuration, ConfigurationError, configure
+from ..study._spread import Sampler
+from ..tune import Calibration, Fitted, fit
+from ..tune.losses import MeanSquare
+from ._calibrated import calibrate_machine, values_of
+
+SPAN = 100.0  # bounds of a gain: that many times less and more than in the file
+CHANGE = 1.25  # of a value, to see which leaves of an experiment it becomes
+
+
+@dataclasses.dataclass(frozen=True)
+class Tuned:
+    """The gains of one observer.
+
+    - `before`, `after`: by key, in the units of the file;
+    - `rms_before`, `rms_after`: the root of the mean square error over fresh samples, in
+      the units of the estimate (divided by the file's `scale` where it has one);
+    - `fitted`: how the search went.
+    """
+
+    before: dict[str, float]
+    after: dict[str, float]
+    rms_before: float
+    rms_after: float
+    fitted: Fitted
+
+
+def tune_study(
+    content: Mapping[str, Any],
+    gains: Sequence[str] = (),
+    *,
+    samples: int = 128,
+    seed: int = 0,
+    iterations: int = 40,
+    after: float = 0.0,
+    engine: Engine = "auto",
+    threads: int | None = None,
+    progress: Callable[[str], None] = lambda name: None,
+) -> dict[str, Tuned]:
+    """Tune the gains of every observer of a study's file, each on its own.
+
+    - `content`: the file, as TOML gives it;
+    - `gains`: `"NAME.key"` of those to tune, by default every number of an observer that
+      is a parameter of it as it stands;
+    - `samples`: of the file's spread, drawn with `seed`, the same at every iteration; as
+      many fresh ones judge the result;
+    - `iterations`: of [`fit`][] at most; `after` (s): from when on errors count;
+    - `progress(name)`: called before each observer;
+    - `engine`, `threads`: of [`aslo_jax.run_batch`][].
+
+    The loss is the mean square error over time and samples.
+
+    **Raises:** `ValueError` for a gain that is not there, or cannot be tuned by gradients,
+    being no parameter of the observer but one of its design.
+    """
+    configuration = configure(content)
+    keys = _keys(content, configuration, gains)
+    found = {}
+    for name, named in keys.items():
+        progress(name)
+        found[name] = _tuned(
+            configuration, content, name, named, samples, seed, iterations, after,
+            engine, threads,
+        )  # fmt: skip
+    return found
+
+
+def calibrate_study(
+    content: Mapping[str, Any], log: Log, **settings: Any
+) -> tuple[Calibration, dict[str, dict[str, Any]]]:
+    """Calibrate the machine of a study's file from a log without ground truth.
+
+    - `settings`: of [`calibrate_machine`][].
+
+    Returns the calibration, and new values by table and key: those of `machine` that the
+    log determines, and the `deviation` of the file's first noise on the sensor (`sensor.0`,
+    say), which the calibration has found in the log.
+
+    **Raises:** [`MachineError`][] for a kind of machine that has no logs or no calibration.
+    """
+    description = machine_of(content)
+    found = calibrate_machine(description, log, **settings)
+    values: dict[str, dict[str, Any]] = {"machine": values_of(description, found)}
+    for k, disturbance in enumerate(content.get("sensor", ())):
+        if disturbance["kind"] == "noise":
+            noise = np.asarray(found.output_noise)
+            whole = not isinstance(disturbance["deviation"], list)
+            level = np.sqrt(np.mean(noise**2)) if whole else noise
+            values[f"sensor.{k}"] = {"deviation": _rounded(level)}
+            break
+    return found, values
+
+
+def machine_of(content: Mapping[str, Any]) -> AbstractDescription:
+    """The machine of a study's file without what acts on it there, as
+    [`aslo_jax.machines.read_machine`][] gives it.
+
+    **Raises:** [`MachineError`][] for a kind of machine that has no logs.
+    """
+    machine = content["machine"]
+    kind = known_kind(machine["kind"], "`machine.kind` of a machine with a log")
+    table: Any = kind.model_fields["machine"].annotation
+    known = {k: v for k, v in machine.items() if k in table.model_fields}
+    return kind.model_validate({"machine": known})
+
+
+def _rounded(x: Any) -> Any:
+    return np.vectorize(lambda v: float(f"{v:.7g}"))(x).tolist()
+
+
+def changed(
+    content: Mapping[str, Any], values: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Any]:
+    """The content of a file with new values, by table and key."""
+    new = copy.deepcopy(dict(content))
+    for table, items in values.items():
+        table_of(new, table).update(items)
+    return new
+
+
+def _keys(
+    content: Mapping[str, Any], configuration: Configuration, gains: Sequence[str]
+) -> dict[str, dict[str, list[int]]]:
+    """By observer and key the places of its leaves that hold the value of the key."""
+    asked: dict[str, list[str]] = {}
+    for gain in gains:
+        name, _, key = gain.rpartition(".")
+        table = content["observers"].get(name, {})
+        if not _is_number(table.get(key)):
+            numbers = [
+                f"{n}.{k}"
+                for n, t in content["observers"].items()
+                for k, v in t.items()
+                if _is_number(v)
+            ]
+            raise ValueError(
+                f"Argument `gains` must name a number of an observer, one of "
+                f"{', '.join(numbers)}, but got {gain!r}."
+            )
+        asked.setdefault(name, []).append(key)
+    keys: dict[str, dict[str, list[int]]] = {}
+    for name, table in content["observers"].items():
+        if gains and name not in asked:
+            continue
+        for key in asked.get(name, [k for k, v in table.items() if _is_number(v)]):
+            places = _places(content, configuration, name, key)
+            if places:
+                keys.setdefault(name, {})[key] = places
+            elif gains:
+                raise ValueError(
+                    "Argument `gains` must name parameters of an observer, but "
+                    f"{name}.{key} is one of its design, which has no gradient here; "
+                    "choose it by a study."
+                )
+    if not keys:
+        raise ValueError("The file must have an observer with a gain to be tuned.")
+    return keys
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _places(
+    content: Mapping[str, Any], configuration: Configuration, name: str, key: str
+) -> list[int]:
+    """Of the leaves of an observer that are the value of a key, and no other leaf depends
+    on it."""
+    value = content["observers"][name][key]
+    try:
+        other = configure(changed(content, {f"observers.{name}": {key: CHANGE * value}}))
+    except ConfigurationError:
+        return []
+    old, new = (
+        jax.tree.leaves(c.experiment.observers[name]) for c in (configuration, other)
+    )
+    moved = [k for k, (a, b) in enumerate(zip(old, new, strict=True)) if np.any(a != b)]
+    right = [np.all(old[k] == value) and np.all(new[k] == CHANGE * value) for k in moved]
+    return moved if all(right) else []
+
+
+def _tuned(
+    configuration, content, name, places, samples, seed, iterations, after, engine, threads
+) -> Tuned:
+    loop = _alone(configuration, name)
+    sampler = Sampler(loop, configuration.spread, seed, 2 * samples)
+    both = sampler(np.arange(2 * samples), sampler.values(0, 2 * samples))
+    halves = [jax.tree.map(lambda x, k=k: x[k * samples :][:samples], both) for k in (0, 1)]
+    key = random.key(seed)
+    scale = 1.0 if configuration.scale is None else configuration.scale
+    metrics = {"cost": MeanSquare(name, after, scale)}
+
+    def loss(gains: dict[str, Float[Array, ""]], at: Array) -> Float[Array, ""]:
+        # Training samples at the key of the search, fresh ones at any other.
+        first = jnp.all(at == key)
+        batch = jax.tree.map(lambda a, b: jnp.where(first, a, b), *halves)
+        wide = jax.tree.map(lambda g: jnp.broadcast_to(g, (samples,)), gains)
+
+        def make(sample):
+            return _placed(sampler.make(sample[0]), name, places, sample[1])
+
+        found = run_batch(
+            make, (batch, wide), configuration.steps, metrics=metrics, engine=engine,
+            threads=threads,
+        )  # fmt: skip
+        return jnp.mean(found.metrics["cost"])
+
+    before = {k: float(content["observers"][name][k]) for k in places}
+    start = {k: jnp.asarray(v) for k, v in before.items()}
+    fitted = fit(
+        start,
+        loss,
+        where=lambda gains: [gains[k] for k in before],
+        key=key,
+        bounds=[(v / SPAN, v * SPAN) for v in before.values()],
+        iterations=iterations,
+        mode="forward",
+    )
+    fresh = random.fold(key, 1)
+    costs = jax.jit(loss)
+    return Tuned(
+        before,
+        {k: float(v) for k, v in zip(before, fitted.parameters, strict=True)},
+        float(jnp.sqrt(costs(start, fresh))),
+        float(jnp.sqrt(costs(fitted.tree, fresh))),
+        fitted,
+    )
+
+
+def _alone(configuration: Configuration, name: str) -> Experiment:
+    """The experiment with one observer, unless the spread reaches for others."""
+    loop = configuration.experiment
+    wheres = [p.where for p in configuration.spread.parameters.values()]
+    if any("observers" in str(where) for where in wheres):
+        return loop
+    only = {name: loop.observers[name]}
+    return eqx.tree_at(lambda e: e.observers, loop, only, is_leaf=lambda x: x is None)
+
+
+def _placed(
+    loop: Experiment, name: str, places: Mapping[str, list[int]], gains: Mapping[str, Any]
+) -> Experiment:
+    leaves, tree = jax.tree.flatten(loop.observers[name])
+    for key, found in places.items():
+        for k in found:
+            like = jnp.asarray(leaves[k])
+            leaves[k] = jnp.broadcast_to(gains[key].astype(like.dtype), like.shape)
+    observers = loop.observers | {name: jax.tree.unflatten(tree, leaves)}
+    return eqx.tree_at(lambda e: e.observers, loop, observers)

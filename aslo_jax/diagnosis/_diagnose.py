@@ -1,0 +1,137 @@
+"""The diagnosis of a log: single rows piece by piece, then the log as a whole."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..logs import Log
+from ._circle import Circle
+from ._repair import repaired
+from ._rows import Rows, gaps_in, suspect_rows
+from ._sample import Sample
+from ._value import Diagnosis, Finding
+from ._verdict import of_circle
+
+SHOWN = 5  # rows that a message names
+
+
+class Diagnosing:
+    """The diagnosis of a log of `rows` rows, `interval` (s) apart, that comes piece by
+    piece, each piece beginning with the last row of the one before.
+
+    - `circles`: what its fluxes must satisfy, of its machine.
+    """
+
+    def __init__(self, circles: Sequence[Circle], rows: int, interval: float):
+        self.circles, self.interval = tuple(circles), interval
+        self._sample, self._seen = Sample(rows), 0
+        self._found: list[Rows] = []
+
+    def add(self, log: Log) -> Rows:
+        """The next piece; its rows that cannot be right."""
+        begin = max(self._seen - 1, 0)
+        each = [suspect_rows(log, circle, self.interval) for circle in self.circles]
+        found = _together(each) if each else _gaps(log, self.interval)
+        self._found.append(found.shifted(begin))
+        broken = np.zeros(log.t.size, bool)
+        broken[found.lost] = True
+        if self.circles:
+            self._sample.add(repaired(log, found), broken)
+        self._seen = begin + log.t.size
+        return found
+
+    def rows(self) -> Rows:
+        """Every row that cannot be right."""
+        return _joined(self._found)
+
+    def result(self, kept: bool = False) -> Diagnosis:
+        """The diagnosis, once every piece has come; `kept`: whether outliers are."""
+        whole = Diagnosis(_of_rows(self.rows(), kept))
+        chunks = self._sample.chunks() if self.circles else []
+        for circle in self.circles:
+            whole = whole + of_circle(chunks, circle)
+        return whole
+
+
+def diagnose(log: Log, circles: Sequence[Circle]) -> Diagnosis:
+    """The diagnosis of a log in memory."""
+    interval = float(np.median(np.diff(log.t)))
+    diagnosing = Diagnosing(circles, log.t.size, interval)
+    diagnosing.add(log)
+    return diagnosing.result()
+
+
+def _gaps(log: Log, interval: float) -> Rows:
+    none = np.zeros(0, int)
+    return Rows(none, none, none, *gaps_in(log.t, interval))
+
+
+def _together(each: Sequence[Rows]) -> Rows:
+    """What several equations say of the same rows."""
+    if len(each) == 1:
+        return each[0]
+    union = lambda name: np.unique(np.concatenate([getattr(r, name) for r in each]))
+    first = each[0]
+    return Rows(
+        union("outliers"), union("inputs"), union("lost"), first.gaps, first.missing
+    )
+
+
+def _joined(found: Sequence[Rows]) -> Rows:
+    join = lambda name: np.concatenate([getattr(r, name) for r in found])
+    names = [field.name for field in dataclasses.fields(Rows)]
+    return Rows(**{name: join(name) for name in names})
+
+
+LEFT = "left out (--outliers keep keeps them)"
+
+
+def _of_rows(rows: Rows, kept: bool) -> tuple[Finding, ...]:
+    found = []
+    fate = "kept (--outliers drop leaves them out)" if kept else LEFT
+    if rows.outliers.size:
+        found.append(
+            Finding(
+                "outliers",
+                f"the outputs of {_rows(rows.outliers)} cannot be right, far from what the "
+                f"rows around say; {fate}",
+                tuple(map(int, rows.outliers)),
+            )
+        )
+    if rows.inputs.size:
+        found.append(
+            Finding(
+                "input_outliers",
+                f"the inputs of {_rows(rows.inputs)} cannot be right, far from what the "
+                f"rows around say; {fate}",
+                tuple(map(int, rows.inputs)),
+            )
+        )
+    if rows.lost.size:
+        found.append(
+            Finding(
+                "lost_rows",
+                f"rows are lost after {_rows(rows.lost)}, although time goes on evenly: "
+                "the outputs step by more than the inputs allow. The observer starts again "
+                "there; record without losses, or with the true time",
+                tuple(map(int, rows.lost)),
+            )
+        )
+    if rows.gaps.size:
+        total = int(rows.missing.sum())
+        found.append(
+            Finding(
+                "missing_rows",
+                f"{total} row{'s are' if total > 1 else ' is'} missing, as time tells, "
+                f"after {_rows(rows.gaps)}; the inputs there are taken from those around",
+                tuple(map(int, rows.gaps)),
+            )
+        )
+    return tuple(found)
+
+
+def _rows(rows: np.ndarray) -> str:
+    shown = ", ".join(str(row) for row in rows[:SHOWN])
+    more = f" and {rows.size - SHOWN} more" if rows.size > SHOWN else ""
+    return f"row{'s' if rows.size > 1 else ''} {shown}{more}"

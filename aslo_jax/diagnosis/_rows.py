@@ -1,0 +1,165 @@
+"""Single rows of a log that cannot be right: outliers, and places where rows are lost."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+
+from ..logs import Log
+from ._circle import Circle
+
+FAR = 9.0  # times the median distance from what the neighbours say
+LEAST = 3e-3  # of the radius: what is smaller does little harm
+LONGEST = 12  # rows of an outlier
+NEIGHBOURS = (-3, -2, -1, 1, 2, 3)
+
+
+NONE = np.zeros(0, int)
+
+
+@dataclasses.dataclass(frozen=True)
+class Rows:
+    """Rows of a log that cannot be right, by their number, the first being 0.
+
+    - `outliers`: whose output is far off; `inputs`: whose input is;
+    - `lost`: after which rows are missing although time goes on evenly;
+    - `gaps`: after which rows are missing, as time tells, and `missing`: how many, each.
+    """
+
+    outliers: Int[np.ndarray, " a"]
+    inputs: Int[np.ndarray, " b"]
+    lost: Int[np.ndarray, " c"]
+    gaps: Int[np.ndarray, " d"]
+    missing: Int[np.ndarray, " d"]
+
+    @property
+    def count(self) -> int:
+        """Of all of them."""
+        named = (self.outliers, self.inputs, self.lost, self.gaps)
+        return sum(map(len, named))
+
+    def without_outliers(self) -> "Rows":
+        """The same, no outliers among them."""
+        return dataclasses.replace(self, outliers=NONE, inputs=NONE)
+
+    def shifted(self, rows: int) -> "Rows":
+        """The same rows of a log that has `rows` more before them."""
+        names = ("outliers", "inputs", "lost", "gaps")
+        moved = {name: getattr(self, name) + rows for name in names}
+        return Rows(**moved, missing=self.missing)
+
+
+def suspect_rows(log: Log, circle: Circle, interval: float) -> Rows:
+    """The rows that cannot be right of a log, or of a piece of one.
+
+    `h (u - R i) - L di` from row to row is what the magnet moves by: a smooth curve. An
+    output that is off moves it forth and back; lost rows move it once, by the step of the
+    current that no voltage explains.
+    """
+    gaps, missing = gaps_in(log.t, interval)
+    if log.t.size < 16:
+        return Rows(NONE, NONE, NONE, gaps, missing)
+    u, y, _ = circle.signals(log.u, log.y)
+    h = np.diff(log.t)
+    R, L = circle.resistance, circle.inductance
+    leap = np.diff(y)
+    step = h * (u[:-1] - 0.5 * R * (y[1:] + y[:-1])) - L * leap
+    step = step * np.where(np.isin(np.arange(h.size), gaps), interval / h, 1.0)
+    error = step - _smooth(step)
+    size = np.abs(error)
+    quiet = np.median(size)
+    least = LEAST * circle.radius if circle.radius and circle.other is None else 0.0
+    limit = max(FAR * quiet, 0.15 * float(np.median(np.abs(step))), least)
+    far = np.flatnonzero(size > limit)
+    far = far[~np.isin(far, gaps)].tolist()
+    pulses = _pulses(u)
+    outliers, inputs, lost = [], [], []
+    taken = -1
+    for k, place in enumerate(far):
+        if place <= taken:
+            continue
+        partner = _partner(error, far[k + 1 : k + 4], place)
+        if partner is not None and _jumps(y, place, partner, error[place] / -L):
+            outliers += range(place + 1, partner + 1)
+            taken = partner
+        elif _stands_out(u, place, error[place] / h[place]):
+            near = leap[max(place - 2, 0) : place + 3]
+            if L * np.abs(near).max() < 0.3 * size[place]:
+                inputs.append(place)
+        elif not pulses[max(place - 2, 0) : place + 3].any() and _unexplained(
+            error[place], L * leap[place]
+        ):
+            lost.append(place)
+    as_rows = lambda found: np.array(sorted(set(found)), int)
+    return Rows(as_rows(outliers), as_rows(inputs), as_rows(lost), gaps, missing)
+
+
+def gaps_in(
+    t: Float[np.ndarray, " N"], interval: float
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """The rows of a log after which rows are missing, and how many, each: where it is
+    sampled every `interval` (s) but for them."""
+    ratio = np.diff(t) / interval
+    whole = np.round(ratio)
+    even = np.abs(ratio - 1.0) < 0.05
+    far = (whole >= 2) & (np.abs(ratio - whole) < 0.1 + 0.02 * whole)
+    if not far.any() or np.mean(even | far) < 0.99 or np.mean(even) < 0.8:
+        return NONE, NONE
+    rows = np.flatnonzero(far)
+    return rows, whole[rows].astype(int) - 1
+
+
+def _smooth(x: Complex[np.ndarray, " N"]) -> Complex[np.ndarray, " N"]:
+    """What the neighbours of every entry say it is: their median, the entry left out,
+    turned to it at the pace at which the curve turns."""
+    turn = np.vdot(x[:-1], x[1:])
+    turn = turn / abs(turn) if abs(turn) > 0 else 1.0
+    rows = np.arange(x.size)
+    neighbours = [np.clip(rows + k, 0, x.size - 1) for k in NEIGHBOURS]
+    around = np.stack([x[other] * turn ** (rows - other) for other in neighbours])
+    return np.median(around.real, axis=0) + 1j * np.median(around.imag, axis=0)
+
+
+def _partner(error, after, place) -> int | None:
+    """The step that takes an error back, if there is one soon."""
+    for other in after:
+        if other - place > LONGEST:
+            return None
+        if abs(error[other] + error[place]) < 0.35 * abs(error[place]):
+            return other
+    return None
+
+
+def _jumps(y, place: int, partner: int, leap: complex) -> bool:
+    """Whether the current really leaves its neighbours by `leap` between two steps."""
+    if partner + 1 >= y.size:
+        return False
+    inside = y[place + 1 : partner + 1].mean() - 0.5 * (y[place] + y[partner + 1])
+    return bool(abs(inside - leap) < 0.3 * abs(leap))
+
+
+def _stands_out(u, place: int, leap: complex) -> bool:
+    if not 0 < place < u.size - 1:
+        return False
+    own = u[place] - 0.5 * (u[place - 1] + u[place + 1])
+    return bool(abs(own - leap) < 0.3 * abs(leap))
+
+
+def _pulses(u: Complex[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
+    """Where a voltage leaves its neighbours for one row. That moves a current by a step,
+    which a wrong scale or a late voltage leave unexplained; where rows are lost there is
+    none."""
+    before, after = np.diff(u)[:-1], np.diff(u)[1:]
+    back = (before * after.conj()).real < 0
+    size = np.minimum(np.abs(before), np.abs(after)) * back
+    # The steps of a voltage that turns evenly, and noise, are no pulses.
+    turning = 2.0 * float(np.median(np.abs(before)))
+    limit = max(6.0 * np.median(size), turning, 0.03 * np.median(np.abs(u)))
+    return np.concatenate([[False], size > limit, [False]])
+
+
+def _unexplained(error: complex, leap: complex) -> bool:
+    """Whether most of the step of the current is what no voltage explains: all but one of
+    `n + 1` intervals, where n rows are lost."""
+    share = -(error * np.conj(leap)).real / max(abs(leap) ** 2, 1e-300)
+    return bool(0.4 < share < 1.6)

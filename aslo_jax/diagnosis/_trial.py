@@ -1,0 +1,148 @@
+"""Every hypothesis tried on the windows of a log."""
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from . import _fitting as fitting
+from ._circle import Circle
+from ._hypotheses import Hypothesis, apply
+from ._windows import Windows
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """How well a hypothesis explains a log; `None` for the log as it is.
+
+    - `cost`, `residual`, `noise`, relative to the radius; `radius` (Wb): the one that fits;
+    - `values`: of the free parameters of the hypothesis;
+    - `flux_error`: of an estimate that knows nothing of it, relative, rms.
+    """
+
+    hypothesis: Hypothesis | None
+    cost: float
+    residual: float
+    noise: float
+    radius: float
+    values: tuple[float, ...]
+    flux_error: float
+
+
+def trials(
+    windows: Windows, circle: Circle, hypotheses: Sequence[Hypothesis], clear: float
+) -> list[Trial]:
+    """The log as it is, and then every hypothesis, unless the cost of the log as it is
+    is below `clear`."""
+    (nominal,), flux = _tried(windows, circle, [None], None)
+    found = [nominal]
+    if nominal.cost < clear:
+        return found
+    key = lambda h: len(h.free)
+    for _, group in itertools.groupby(sorted(hypotheses, key=key), key):
+        more, _ = _tried(windows, circle, list(group), flux)
+        found += more
+    return found
+
+
+def arcs(windows: Windows, circle: Circle) -> Float[np.ndarray, " W"]:
+    """By how much the flux less what the current links turns in each window (rad), if the
+    log is as it should be."""
+    same = Hypothesis("", "")
+    g, y, basis, _, _ = _changed(windows, circle, same)
+    found = fitting.fit(
+        g[None],
+        basis[None],
+        np.zeros((1, 0)),
+        y[None],
+        windows.radius,
+        circle.radius,
+        np.array([circle.saliency]),
+    )
+    # Windows of noise alone turn as well.
+    jerk = np.mean(np.abs(g[:, 2:] - 2.0 * g[:, 1:-1] + g[:, :-2]) ** 2, axis=1) / 6.0
+    moves = np.var(g, axis=1) > 25.0 * jerk
+    turned = np.unwrap(np.angle(found.centre[0][:, None] + g), axis=1)
+    return np.ptp(turned, axis=1) * moves
+
+
+def _tried(windows, circle, hypotheses, nominal):
+    same = Hypothesis("", "")
+    each = [same if h is None else h for h in hypotheses]
+    g, y, basis, start, flux, flux_basis, owner = [], [], [], [], [], [], []
+    for k, h in enumerate(each):
+        signals = _changed(windows, circle, h)
+        for first in h.starts[: len(h.starts) if h.free else 1]:
+            values = np.zeros(len(h.free))
+            if h.free:
+                # Resistance and inductance start at factors of their own.
+                unit = {"resistance": circle.resistance, "inductance": circle.inductance}
+                values[0] = first * unit.get(h.free[0], 1.0)
+            owner.append(k)
+            start.append(values)
+            lists = (g, y, basis, flux, flux_basis)
+            for those, one in zip(lists, signals, strict=True):
+                those.append(one)
+    stack = np.stack
+    found = fitting.fit(
+        stack(g),
+        stack(basis),
+        stack(start),
+        stack(y),
+        windows.radius,
+        circle.radius,
+        circle.saliency * np.array([each[k].inductance for k in owner]),
+    )
+    trials = []
+    owner = np.array(owner)
+    mine = None
+    for k, h in enumerate(hypotheses):
+        rows = np.flatnonzero(owner == k)
+        best = rows[np.argmin(found.cost[rows])]
+        phi = (
+            found.centre[best][:, None]
+            + flux[best]
+            + np.einsum("p,pwn->wn", found.values[best], flux_basis[best])
+        )
+        mine = phi if nominal is None else nominal
+        scale = np.sqrt(np.mean(np.abs(phi) ** 2))
+        error = float(np.sqrt(np.mean(np.abs(phi - mine) ** 2)) / scale)
+        # With another radius, the one that fits costs nothing.
+        price = found.residual if h is not None and h.kind == "radius" else found.cost
+        trials.append(
+            Trial(
+                h,
+                float(price[best]),
+                float(found.residual[best]),
+                float(found.noise[best]),
+                float(found.radius[best]),
+                tuple(map(float, found.values[best])),
+                error,
+            )
+        )
+    return trials, mine
+
+
+def _changed(windows: Windows, circle: Circle, h: Hypothesis):
+    """g and y of a hypothesis, what its free parameters add to g, and both for the flux."""
+    R, L = circle.resistance * h.resistance, circle.inductance * h.inductance
+    voltage = windows.shifted[h.shift] if h.shift else windows.voltage
+    voltage = apply(h.voltage, voltage)
+    current, y = apply(h.current, windows.current), apply(h.current, windows.y)
+    t = windows.t + 0j
+    effects = {
+        "resistance": (-current, -current),
+        "inductance": (-y, 0.0 * y),
+        "voltage": (voltage, voltage),
+        "current": (-R * current - L * y, -R * current),
+        "alpha": (t, t),
+        "beta": (1j * t, 1j * t),
+        "dead": (-windows.dead, -windows.dead),
+    }
+    none = np.zeros((0, *t.shape), complex)
+    basis = np.stack([effects[f][0] for f in h.free]) if h.free else none
+    on_flux = np.stack([effects[f][1] for f in h.free]) if h.free else none
+    flux = voltage - R * current
+    return flux - L * y, y, basis, flux, on_flux

@@ -1,0 +1,40 @@
+"""`kind = "ball_beam"`: the ball on a beam."""
+
+from typing import Literal
+
+from ..plants import BallBeam
+from ..schema import Positive, Table, key
+from ._base import Unknowns
+from ._mechanism import AbstractMechanism, Two, layout, study
+
+
+class BallBeamTable(Table):
+    """`[machine]` of a ball on a beam, in SI units; torque and friction are for a kilogram
+    of the ball."""
+
+    kind: Literal["ball_beam"] = key("the kind of machine", example="ball_beam")
+    length: Positive = key("of the beam, its square the inertia", "m", example=1.2)
+    gravity: Positive = key("gravity", "m/s^2", default=9.81)
+    damping: Two = key(
+        "friction of ball and beam over its mass",
+        "1/s, m^2/s",
+        default=[0.0, 0.0],
+        allowed="two finite numbers that are not negative",
+    )
+
+
+class BallBeamDescription(AbstractMechanism[BallBeamTable]):
+    """A ball on a beam: velocities from position, angle and torque."""
+
+    machine: BallBeamTable
+
+    kind = "ball_beam"
+    title = "Ball and beam"
+    layout = layout((False, True), 1, "q1 ball, q2 beam; u1 torque over the ball's mass")
+    unknowns = Unknowns(("length", "damping"), further=("gravity",))
+    study = study(
+        BallBeamTable, BallBeam, {"ball": "m/s", "beam": "rad/s"}, "ball_beam_tracking"
+    )
+
+    def plant(self):
+        return BallBeam(**self.machine.model_dump(exclude={"kind"}))

@@ -1,0 +1,299 @@
+"""The protocol of every kind of machine description."""
+
+import abc
+import dataclasses
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, get_args
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._choices import CompletionName, FilterStart
+from .._completions import LeastSquares, Repeat
+from .._filters import LowPass
+from .._guard import Guard
+from ..diagnosis import Circle
+from ..logs import Log, Signals
+from ..observers import AbstractObserver, AlgebraicObserver, Asymptotic
+from ..plants import AbstractPlant
+from ..schema import Table, is_rate
+from ._study import Study
+
+Columns = dict[str, np.ndarray]
+
+
+class MachineError(ValueError):
+    """A machine description that cannot be used: names file, key and allowed values."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Quantity:
+    """What is estimated, scored and drawn as one.
+
+    - `name`, in words; `columns` of the table of estimates, `unit` of them all;
+    - `suffix`: of the columns `certificate` and `coasting` that speak for it;
+    - `angle`: whether it is an unwrapped angle (rad);
+    - `turns`: whether it turns so often in a log that it is drawn in close-ups;
+    - `tracks`: the column of the angle (rad) whose phase-locked loop gives it; every other
+      column comes from [`AbstractDescription.columns`][].
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    unit: str
+    suffix: str = ""
+    angle: bool = False
+    turns: bool = False
+    tracks: str | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """The columns in, and what is estimated from them, in the order of the table of
+    estimates."""
+
+    signals: Signals
+    quantities: tuple[Quantity, ...]
+
+    def suffixes(self) -> list[str]:
+        """Those of the columns `certificate` and `coasting`."""
+        return list(dict.fromkeys(quantity.suffix for quantity in self.quantities))
+
+
+class Rate(NamedTuple):
+    """A rate of an observer (rad/s), and where it comes from if not from the user."""
+
+    value: float
+    reason: str = ""
+
+
+Rates = dict[str, Rate]
+FROM_THE_LOG = ("cutoff", "pll_bandwidth")
+
+
+@dataclasses.dataclass(frozen=True)
+class Unknowns:
+    """The keys of `[machine]` that can be found from a log.
+
+    - `usual`: those that its relation depends on, and that are not simply known; `further`:
+      those that are found only if they are asked for;
+    - `refused`: why there are none, as the end of a sentence.
+    """
+
+    usual: tuple[str, ...] = ()
+    further: tuple[str, ...] = ()
+    refused: str = ""
+
+
+M = TypeVar("M", bound=Table)
+O = TypeVar("O", bound=Table)
+
+
+class AbstractDescription(Table, abc.ABC, Generic[M, O]):
+    """A machine description, as [`read_machine`][] reads it: the tables `[machine]` and
+    `[observer]`, and what they mean for a log.
+
+    A kind has one final class. Its `[machine]` begins with the key `kind`, its `[observer]`
+    has the key `threshold`, the certificate below which the estimate coasts. It states
+
+    - `kind`: as in `machine.kind`; `title`: the same in words;
+    - `layout`: columns in and out, an example of them where the file decides how many;
+    - `motion`: what a log in which nothing is observable lacks, as a question;
+    - `residual`: the formula of what [`AbstractDescription.residuals`][] returns;
+    - `refused`: keys of `[observer]` that other kinds have and this one cannot, and why;
+    - `longest_interval` (s): a median interval above it makes one doubt the unit of `t`;
+    - `memory`: on how many rows before it a row of the residuals depends;
+    - `unknowns`: what a calibration may find; `study`: how the kind takes part in studies,
+      `None` where it does not.
+    """
+
+    machine: M
+    observer: O
+
+    kind: ClassVar[str]
+    title: ClassVar[str]
+    layout: ClassVar[Layout]
+    motion: ClassVar[str]
+    residual: ClassVar[str]
+    refused: ClassVar[Mapping[str, str]]
+    longest_interval: ClassVar[float]
+    memory: ClassVar[int] = 0
+    unknowns: ClassVar[Unknowns] = Unknowns(refused="its description offers no parameters")
+    study: ClassVar[Study | None] = None
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **settings: Any) -> None:
+        """Refuse a final class that lacks what every user of descriptions asks for.
+
+        **Raises:** `TypeError`.
+        """
+        if inspect.isabstract(cls):
+            return
+        machine, observer = (
+            cls.model_fields[n].annotation for n in ("machine", "observer")
+        )
+        field = getattr(machine, "model_fields", {}).get("kind")
+        if field is None or get_args(field.annotation) != (cls.kind,):
+            raise TypeError(
+                f"`[machine]` of {cls.__name__} must have the key `kind` of the type "
+                f'Literal["{cls.kind}"].'
+            )
+        if "threshold" not in getattr(observer, "model_fields", {}):
+            raise TypeError(
+                f"`[observer]` of {cls.__name__} must have the key `threshold`, the "
+                "certificate below which the estimate coasts."
+            )
+
+    @abc.abstractmethod
+    def plant(self) -> AbstractPlant:
+        """The plant described by `[machine]`."""
+
+    @abc.abstractmethod
+    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
+        """The rates of the observer that are not `stated`, where there are defaults for
+        them without a log or, if there is one, `condensed`, with it. Refuses a stated rate
+        that does not suit the log."""
+
+    @abc.abstractmethod
+    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
+        """The observer, with the rates that [`AbstractDescription.rates`][] chooses. Its
+        input and output are u and y of a log with `signals`."""
+
+    @abc.abstractmethod
+    def columns(self, estimate: Any, log: Log) -> Columns:
+        """The table of estimates, each column of shape `(N,)`: what the `quantities` need,
+        and `certificate` and `coasting` (0 or 1) with every suffix. `estimate` is what the
+        observer returns, with a leading axis of length `N`."""
+
+    @abc.abstractmethod
+    def truth(self, log: Log) -> Columns:
+        """The truth of a log by the names of the table of estimates."""
+
+    @abc.abstractmethod
+    def residuals(self, columns: Columns, log: Log) -> Columns:
+        """How far the estimates are from an equation that holds for the true states and
+        was not used to the full, by the name of the quantity: relative, shape `(N,)`."""
+
+    def circles(self) -> tuple[Circle, ...]:
+        """What every right log of this machine satisfies beyond what its observer uses, to
+        tell a wrong one; by default nothing is known."""
+        return ()
+
+    def columns_of_log(self) -> Layout:
+        """The `layout` of this machine's logs."""
+        return self.layout
+
+    @property
+    def pole_pairs(self) -> int | None:
+        """The number of pole pairs of its `[machine]`, if it has any."""
+        return getattr(self.machine, "pole_pairs", None)
+
+    @property
+    def signals(self) -> Signals:
+        """The columns of a log, in and for scoring."""
+        return self.columns_of_log().signals
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What is estimated."""
+        return self.columns_of_log().quantities
+
+    def suffixes(self) -> list[str]:
+        """Those of the columns `certificate` and `coasting`."""
+        return self.columns_of_log().suffixes()
+
+    def condensed(self, log: Log) -> Log:
+        """Of a log, or of a piece of one, what `default_rates` looks at where a rate is not
+        stated, in as few columns as it takes: of a long log they are all that is held in
+        memory. By default nothing but the instants."""
+        nothing = np.zeros((log.t.size, 0))
+        return Log(log.t, nothing, nothing, {})
+
+    def rates(
+        self, log: Log | None = None, given: Mapping[str, float] | None = None
+    ) -> Rates:
+        """The rates of the observer by their keys in `[observer]`: those `given` (rad/s),
+        then those of the file, then the defaults, for which a cutoff may need the `log`."""
+        return self.rates_of(None if log is None else self.condensed(log), given)
+
+    def stated(self, given: Mapping[str, float] | None = None) -> dict[str, float]:
+        """The rates that are `given` (rad/s) or in the file, by their keys."""
+        given = {} if given is None else given
+        known = [k for k, f in type(self.observer).model_fields.items() if is_rate(f)]
+        for name in given:
+            if name not in known:
+                reason = self.refused.get(name, f"its rates are {', '.join(known)}")
+                raise MachineError(
+                    f'`{name}` is not for a machine of the kind "{self.kind}": {reason}.'
+                )
+        in_file = {k: getattr(self.observer, k) for k in known}
+        return {k: v for k, v in (in_file | dict(given)).items() if v is not None}
+
+    def chooses(self, given: Mapping[str, float] | None = None) -> bool:
+        """Whether `default_rates` looks at the columns of `condensed`: where a rate that it
+        may choose for the log, the cutoff or that of a loop, is not stated."""
+        fields = type(self.observer).model_fields
+        return any(k in fields and k not in self.stated(given) for k in FROM_THE_LOG)
+
+    def rates_of(
+        self, condensed: Log | None, given: Mapping[str, float] | None = None
+    ) -> Rates:
+        """[`AbstractDescription.rates`][] of a log that is `condensed`."""
+        stated = self.stated(given)
+        chosen = self.default_rates(condensed, stated)
+        if "cutoff" not in stated | chosen:
+            raise MachineError(
+                "Argument `log` must be given where neither `given` nor `[observer]` has "
+                "a `cutoff`: it is then chosen for the log."
+            )
+        every = {k: Rate(v) for k, v in stated.items()} | chosen
+        fields = type(self.observer).model_fields
+        return {k: every[k] for k in fields if k in every}
+
+
+def algebraic(
+    relation: Callable,
+    cutoff: float,
+    *,
+    threshold: float,
+    completion: CompletionName = "least-squares",
+    start: FilterStart = "exact",
+    gain: Rate | None = None,
+) -> AbstractObserver:
+    """The ASLO with a filter of `cutoff` (rad/s), or with a `gain` (rad/s) the A-ASLO."""
+    observer = AlgebraicObserver(
+        relation,
+        LowPass(cutoff),
+        completion=LeastSquares() if completion == "least-squares" else Repeat(),
+        guard=Guard(threshold=threshold),
+        start=start,
+    )
+    return observer if gain is None else Asymptotic(observer, gain.value)
+
+
+def in_columns(
+    names: tuple[str, ...], values: Float[np.ndarray, "N n"] | Float[Array, "N n"]
+) -> Columns:
+    """The columns of `values` by name."""
+    return dict(zip(names, np.asarray(values).T, strict=True))
+
+
+def certified(estimate: Any, suffix: str = "") -> Columns:
+    """The columns `certificate` and `coasting` of an estimate."""
+    return {
+        f"certificate{suffix}": np.asarray(estimate.certificate),
+        f"coasting{suffix}": np.asarray(estimate.coasting).astype(np.uint8),
+    }
+
+
+def length(*vector: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+    """The Euclidean length of vectors, given entry by entry."""
+    return np.sqrt(np.sum(np.square(vector), axis=0))
+
+
+def relative(
+    x: Float[np.ndarray, " N"], size: Float[np.ndarray, " N"]
+) -> Float[np.ndarray, " N"]:
+    """`|x| / size`, infinite where `size` is zero."""
+    return np.divide(np.abs(x), size, out=np.full(x.shape, np.inf), where=size > 0)

@@ -1,0 +1,48 @@
+"""`kind = "robotic_leg"`: the extensible leg."""
+
+from typing import Literal
+
+from ..plants import RoboticLeg
+from ..schema import Positive, Table, key
+from ._base import Unknowns
+from ._mechanism import AbstractMechanism, Three, layout, study
+
+
+class RoboticLegTable(Table):
+    """`[machine]` of an extensible leg, in SI units."""
+
+    kind: Literal["robotic_leg"] = key("the kind of machine", example="robotic_leg")
+    m1: Positive = key("mass at the end of the leg", "kg", example=2.0)
+    m2: Positive = key("inertia of the body", "kg m^2", example=3.0)
+    damping: Three = key(
+        "friction of length, leg and body",
+        "N s/m, N m s/rad",
+        default=[0.0, 0.0, 0.0],
+        allowed="three finite numbers that are not negative",
+    )
+
+
+class RoboticLegDescription(AbstractMechanism[RoboticLegTable]):
+    """An extensible leg on a body: velocities from length and angles, force and torque."""
+
+    machine: RoboticLegTable
+
+    kind = "robotic_leg"
+    title = "Extensible leg"
+    layout = layout(
+        (False, True, True),
+        2,
+        "q1 length, q2 angle of the leg, q3 of the body; u1 along the leg, u2 between leg "
+        "and body",
+    )
+    unknowns = Unknowns(("m1", "m2", "damping"))
+    study = study(
+        RoboticLegTable,
+        RoboticLeg,
+        {"length": "m/s", "leg": "rad/s", "body": "rad/s"},
+        "tracking",
+        bound=True,
+    )
+
+    def plant(self):
+        return RoboticLeg(**self.machine.model_dump(exclude={"kind"}))

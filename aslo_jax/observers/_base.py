@@ -1,0 +1,302 @@
+"""The protocol of every observer."""
+
+import abc
+import typing
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Generic
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Bool, Float
+
+from .._checks import kind, positive
+from .._module import Module
+from .._realise import Advance, Flow, Interval, Pass, Start, States
+from .._signals import check_signals
+from .._typing import PyTree
+from ._missing import Gap, either, marked, whole
+
+__all__ = [
+    "AbstractObserver",
+    "Est",
+    "Estimate",
+    "First",
+    "ObserverState",
+    "Second",
+    "check_observers",
+    "named",
+]
+
+
+class Estimate(Module):
+    """An estimate and what is known about it.
+
+    - `value`: the estimated states, shape `(n,)`, in their own units;
+    - `certificate`: a dimensionless measure of observability, shape `()`, see
+      [`AbstractCompletion`][]; 1 for an observer that has none;
+    - `coasting`: whether `value` is carried along the known derivative because the state
+      is not observable now, or because the sample is missing, shape `()`;
+    - `covariance`: that of `value`, shape `(n, n)`, in products of its units, where the
+      observer knows it.
+    """
+
+    value: Float[Array, "*batch n"]
+    certificate: Float[Array, "*batch"]
+    coasting: Bool[Array, "*batch"]
+    covariance: Float[Array, "*batch n n"] | None = None
+
+    def to_dataframe(
+        self,
+        t: ArrayLike,
+        *,
+        names: Sequence[str] | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> Any:
+        """An estimate over time as a `pandas.DataFrame` (the extra `study`).
+
+        - `t`: the instants that `replay` had (s), shape `(N,)`, which become the index `t`;
+        - `names` of the `n` entries of the value, by default `value_0` and so on;
+        - `units`: by column, kept in `attrs["units"]` of the table.
+
+        The other columns are `certificate` (1) and `coasting`.
+
+        **Raises:** `ValueError` for instants or names that do not fit, for a batch of
+        estimates, or for the unit of no column; `ImportError` naming the command that
+        installs pandas.
+        """
+        from .._tables import dataframe, estimate_columns
+
+        return dataframe(estimate_columns(self, t, names), units or {})
+
+    def to_xarray(
+        self,
+        t: ArrayLike,
+        *,
+        names: Sequence[str] | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> Any:
+        """The same as an `xarray.Dataset`: one variable for each column of
+        [`Estimate.to_dataframe`][], over the coordinate `t` (s), with its unit in the
+        attribute `units`."""
+        from .._tables import dataset, estimate_columns
+
+        return dataset(estimate_columns(self, t, names), units or {})
+
+
+class ObserverState(Module):
+    """The state of an observer, a value: save it, restore it, batch it.
+
+    - `states`: every filter and other state, by name;
+    - `y`: the last measurement, from which the next sampling interval begins;
+    - `gap`: what is remembered in case a sample is missing; `None` in continuous time.
+    """
+
+    states: States
+    y: PyTree
+    gap: Gap | None = None
+
+
+# What an observer estimates: an `Estimate`, unless a class says otherwise, such as
+# `AbstractObserver[dict[str, Estimate]]`.
+if TYPE_CHECKING:
+    from typing_extensions import TypeVar
+
+    Est = TypeVar("Est", default=Estimate, covariant=True)
+    First = TypeVar("First", default=Estimate)
+    Second = TypeVar("Second", default=Estimate)
+else:
+    Est = typing.TypeVar("Est", covariant=True)
+    First = typing.TypeVar("First")
+    Second = typing.TypeVar("Second")
+
+
+class AbstractObserver(Module, Generic[Est]):
+    """A state observer, written once as `equations` and run in continuous time
+    (`vector_field`, `estimate`) or sampled (`step`). For type checkers it is generic in
+    what it estimates: `AbstractObserver` is `AbstractObserver[Estimate]`.
+
+    Conventions: `y[k]` is sampled at `t[k]`; `u[k]` is held on `[t[k], t[k+1])`. No
+    estimate has direct feed-through of u.
+    """
+
+    @abc.abstractmethod
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Est:
+        """The observer's equations: a pass `F`, the input `u` and the measurement `y`, to
+        an [`Estimate`][] (or a dictionary of them, for observers side by side)."""
+
+    def __call__(self, F: Pass, u: PyTree, y: PyTree) -> Est:
+        """[`equations`][], of signals with the shapes that they declare: what each way to
+        run them calls, and what an observer calls that is made of others."""
+        check_signals(self, type(self).equations, u, y)
+        return self.equations(F, u, y)
+
+    def init(self, y: PyTree, u: PyTree | None = None) -> ObserverState:
+        """The state at the first measurement `y`; where that is not finite, the observer
+        begins at the first one that is. Of `u` only the shape matters, which by default is
+        that of y."""
+        y = jax.tree.map(jnp.asarray, y)
+        gap, y = Gap.before(self._input(y, u), y)
+        return ObserverState(self.allocate(y, u).states, y, gap)
+
+    def allocate(self, y: PyTree, u: PyTree | None = None) -> Start:
+        """The pass that allocates the states; it knows the laws they follow."""
+        start = Start()
+        self(Pass(start), self._input(y, u), y)
+        return start
+
+    def _input(self, y: PyTree, u: PyTree | None) -> PyTree:
+        if u is None:
+            shape = getattr(self, "signals", {}).get("u")
+            y0 = jnp.zeros(shape, jnp.result_type(float)) if shape is not None else y
+            u = jax.tree.map(jnp.zeros_like, y0)
+        return jax.tree.map(jnp.asarray, u)
+
+    def vector_field(
+        self, t: Float[Array, ""], state: ObserverState, u: PyTree, y: PyTree
+    ) -> ObserverState:
+        """The derivative of `state` at time `t` (s); that of its `y` is zero."""
+        del t
+        flow = Flow(state.states)
+        self(Pass(flow), u, y)
+        still = jax.tree.map(jnp.zeros_like, (state.y, state.gap))
+        return ObserverState(flow.rates, *still)
+
+    def estimate(
+        self, t: Float[Array, ""], state: ObserverState, u: PyTree, y: PyTree
+    ) -> Est:
+        """The estimate at time `t` (s), in continuous time."""
+        del t
+        return self(Pass(Flow(state.states)), u, y)
+
+    def step(
+        self,
+        state: ObserverState,
+        u: PyTree,
+        y: PyTree,
+        dt: Float[Array, ""] | float,
+        *,
+        substeps: int = 1,
+    ) -> tuple[ObserverState, Est]:
+        """One sample of a control loop: `u` was held over the `dt` seconds that end now,
+        `y` is measured now. Returns the new state and the estimate now.
+
+        `substeps` split the interval with interpolated y, where products of signals curve
+        within it. Compile a loop of steps with `eqx.filter_jit`.
+
+        A sample with an entry that is not finite is missing, as [`take`][] says.
+        """
+        positive("dt", dt, "s")
+        u, y = jax.tree.map(jnp.asarray, (u, y))
+        interval = jnp.asarray(dt) / max(substeps, 1)
+        coefficients = self.allocate(state.y, u).discretise(interval)
+        return self.take(state, u, y, dt, coefficients, substeps=substeps)
+
+    def take(
+        self,
+        state: ObserverState,
+        u: PyTree,
+        y: PyTree,
+        dt: Float[Array, ""] | float,
+        coefficients: PyTree,
+        *,
+        substeps: int = 1,
+    ) -> tuple[ObserverState, Any]:
+        """[`step`][] with the coefficients of the laws already at hand: [`advance`][], and
+        a `u` or a `y` with an entry that is not finite counts as missing.
+
+        Over an interval that ends with a missing y, or whose u is missing, nothing is
+        injected into a filter and nothing is corrected: the estimate is carried along its
+        known derivative, with the signals that were last known, and `coasting` says so.
+        When y comes back, its interval begins on the line between it and the last y that
+        was known, and counts for its part of the time between the two. Rows of
+        the exact start hold through a hole but for the error of that derivative over it,
+        which is forgotten at the rate of the filters; it is small where nothing turns by
+        more than about a tenth of a radian meanwhile. Before the first y that is finite
+        nothing is known; there the observer begins.
+        """
+        gap = Gap.before(u, state.y)[0] if state.gap is None else state.gap
+        y = self.continued(state.y, y)
+        now = whole(gap, state.y, u, y, dt)
+        begun = self.allocate(now.y, now.u).states
+        states = either(now.first, begun, state.states)
+        weight, before = now.weights
+        ends = Interval(now.missing, weight, before), Interval(now.missing, weight)
+        states, estimate = self._across(
+            states, now.u, now.left, now.y, coefficients, substeps, ends
+        )
+        estimate = marked(estimate, now.missing, Estimate)
+        return ObserverState(states, now.y, now.gap), estimate
+
+    def continued(self, before: PyTree, y: PyTree) -> PyTree:
+        """The measurement y as the observer takes it, after the one `before`."""
+        del before
+        return y
+
+    def advance(
+        self,
+        state: ObserverState,
+        u: PyTree,
+        y: PyTree,
+        coefficients: PyTree,
+        *,
+        substeps: int = 1,
+    ) -> tuple[ObserverState, Est]:
+        """[`step`][] with the coefficients of the laws, `allocate(y, u).discretise(dt /
+        substeps)`, already at hand, for samples none of which is missing."""
+        y = self.continued(state.y, y)
+        states, estimate = self._across(
+            state.states, u, state.y, y, coefficients, substeps, (None, None)
+        )
+        gap = None if state.gap is None else state.gap.after(u)
+        return ObserverState(states, y, gap), estimate
+
+    def _across(
+        self,
+        states: States,
+        u: PyTree,
+        before: PyTree,
+        y: PyTree,
+        coefficients: PyTree,
+        substeps: int,
+        ends: tuple[Interval | None, Interval | None],
+    ) -> tuple[States, Any]:
+        """The states after an interval from `before` to `y`, and the estimate there."""
+        if not isinstance(substeps, int) or substeps < 1:
+            raise ValueError(
+                f"Argument `substeps` must be an integer of at least 1, but got {substeps}."
+            )
+        left = Flow(states)
+        self(Pass(left, interval=ends[0]), u, before)
+        states, drives = left.states, left.drives
+        if substeps > 1:
+
+            def piece(at_left, theta):
+                right = Advance(at_left[0], at_left[1], coefficients)
+                self(Pass(right, interval=ends[1]), u, _between(before, y, theta))
+                return (right.advanced, right.drives), None
+
+            inner = jnp.arange(1, substeps) / substeps
+            (states, drives), _ = jax.lax.scan(piece, (states, drives), inner)
+        right = Advance(states, drives, coefficients)
+        estimate = self(Pass(right, interval=ends[1]), u, y)
+        return right.advanced, estimate
+
+
+def named(
+    observers: Mapping[str, AbstractObserver[Est]],
+) -> dict[str, AbstractObserver[Est]]:
+    """Observers by name, as a dictionary; what is none is left to [`check_observers`][]."""
+    return dict(observers) if isinstance(observers, Mapping) else observers
+
+
+def check_observers(observers: Any) -> None:
+    """Refuse what is not observers by name."""
+    if not isinstance(observers, Mapping):
+        kind("observers", observers, Mapping, hint="observers by name, a dictionary")
+    for name, observer in observers.items():
+        what = f"observers[{name!r}]"
+        kind(what, observer, AbstractObserver, hint="an observer")
+
+
+def _between(y0: PyTree, y1: PyTree, theta: Float[Array, ""]) -> PyTree:
+    return jax.tree.map(lambda a, b: a + theta.astype(a.dtype) * (b - a), y0, y1)

@@ -1,0 +1,271 @@
+"""The extended Kalman filter, its Jacobians by automatic differentiation."""
+
+import abc
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._checks import is_concrete, positive, real
+from .._filters import AbstractLaw
+from .._module import Module
+from .._realise import Pass
+from .._runge_kutta import runge_kutta
+from .._small import safe_reciprocal, solve_definite
+from .._typing import PyTree, RealArray
+from ..plants import AbstractMechanicalSystem, FluxRelation
+from ._base import AbstractObserver, Estimate
+
+__all__ = ["AbstractModel", "Belief", "ExtendedKalman", "MechanicalModel", "PMSMModel"]
+
+
+class AbstractModel(Module):
+    """`x' = f(x, u) + noise`, `y = h(x) + noise`."""
+
+    @abc.abstractmethod
+    def drift(self, x: Float[Array, " n"], u: PyTree) -> Float[Array, " n"]:
+        """`f(x, u)`, units of x per second."""
+
+    @abc.abstractmethod
+    def output(self, x: Float[Array, " n"]) -> Float[Array, " p"]:
+        """`h(x)`, what is measured."""
+
+    @abc.abstractmethod
+    def select(self, x: Float[Array, " n"]) -> Float[Array, " k"]:
+        """What of x is the estimate."""
+
+    def signals_of(self, n: int) -> dict[str, tuple[int, ...]]:
+        """The shapes of u and y beside a state of n entries, where they are known."""
+        del n
+        return {}
+
+
+class PMSMModel(AbstractModel):
+    """A non-salient PMSM whose electrical speed is a random walk: `x = (flux, speed,
+    angle)`, the stator flux (Wb, two entries), the electrical speed (rad/s) and the
+    electrical angle (rad, unwrapped). Input the voltage (V), output the current (A), the
+    estimate the stator flux (Wb), each of shape `(2,)`.
+
+    Source: paper, eqs. (sys) and (flucur).
+    """
+
+    relation: FluxRelation
+
+    def drift(self, x: RealArray, u: PyTree) -> RealArray:
+        flux = u - self.relation.resistance * self.output(x)
+        return jnp.stack([flux[0], flux[1], jnp.zeros_like(x[2]), x[2]])
+
+    def output(self, x: RealArray) -> RealArray:
+        magnet = self.relation.magnet_flux * jnp.stack([jnp.cos(x[3]), jnp.sin(x[3])])
+        return (x[:2] - magnet) / self.relation.inductance
+
+    def select(self, x: RealArray) -> RealArray:
+        return x[:2]
+
+    def signals_of(self, n: int) -> dict[str, tuple[int, ...]]:
+        return {"u": (2,), "y": (2,)}
+
+
+class MechanicalModel(AbstractModel):
+    """A mechanical system: `x = (q, q')`, input the generalised forces, shape `(m,)`,
+    output the positions, estimate the velocities, each of shape `(n,)`.
+
+    Source: paper, eq. (EL).
+    """
+
+    system: AbstractMechanicalSystem
+
+    def drift(self, x: RealArray, u: PyTree) -> RealArray:
+        q, velocity = jnp.split(x, 2)
+        return jnp.concatenate([velocity, self.system.acceleration(q, velocity, u)])
+
+    def output(self, x: RealArray) -> RealArray:
+        return jnp.split(x, 2)[0]
+
+    def select(self, x: RealArray) -> RealArray:
+        return jnp.split(x, 2)[1]
+
+    def signals_of(self, n: int) -> dict[str, tuple[int, ...]]:
+        return self.system.signals_of(n // 2)
+
+
+class Belief(NamedTuple):
+    """Mean, shape `(n,)`, and covariance, shape `(n, n)`, of the state."""
+
+    mean: Float[Array, " n"]
+    covariance: Float[Array, "n n"]
+
+
+class _KalmanBucy(AbstractLaw):
+    """The belief, driven by `(u, y)`: Riccati's equation in continuous time; sampled, a
+    prediction over the interval with u held, and an update by the y at its end, or where
+    `trust` is zero none."""
+
+    model: AbstractModel
+    process: Float[Array, "n n"]
+    measurement: Float[Array, "p p"]
+    trust: Float[Array, ""] | float = 1.0
+
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
+        (u, y), (x, P) = v, X
+        A = jax.jacfwd(self.model.drift)(x, u)
+        H = jax.jacfwd(self.model.output)(x)
+        PHt = P @ H.T
+        gain = self.trust * _divide(PHt, self.measurement)
+        rate = self.model.drift(x, u) + gain @ (y - self.model.output(x))
+        AP = A @ P
+        return Belief(rate, AP + AP.T + self.process - gain @ PHt.T)
+
+    def discretise(self, h: RealArray | float) -> PyTree:
+        return jnp.asarray(h, self.process.dtype)
+
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
+        h, (u, _), (_, y) = coefficients, v0, v1
+        predict = lambda x: runge_kutta(lambda t, x: self.model.drift(x, u), 0.0, x, h)
+        x, transition = predict(X.mean), jax.jacfwd(predict)(X.mean)
+        # Noise enters throughout the interval: the trapezoidal rule of its integral.
+        half = 0.5 * h * self.process
+        P = transition @ (X.covariance + half) @ transition.T + half
+        H = jax.jacfwd(self.model.output)(x)
+        V = self.measurement / h
+        gain = self.trust * _divide(P @ H.T, H @ P @ H.T + V)
+        # Joseph's form: symmetric, and definite whatever rounding does to the gain.
+        rest = jnp.eye(x.shape[0], dtype=x.dtype) - gain @ H
+        P = rest @ P @ rest.T + gain @ V @ gain.T
+        return Belief(x + gain @ (y - self.model.output(x)), P)
+
+
+class ExtendedKalman(AbstractObserver):
+    """The extended Kalman filter of a model with white noise.
+
+    - `model`: `drift(x, u)`, `output(x)`, and what of x is the estimate, `select(x)`;
+    - `process`, shape `(n, n)`: the two-sided intensity of the noise on x' (unit of x
+      squared per second);
+    - `measurement`, shape `(p, p)`: that of the noise on y (unit of y squared times
+      second). A noise of covariance C on samples `dt` seconds apart has intensity `C dt`;
+    - `initial`, shape `(n,)`, and `covariance`, shape `(n, n)`: the first belief.
+
+    In continuous time it is the Kalman-Bucy filter linearised at the estimate. Sampled, it
+    predicts over the interval with the held input (Runge and Kutta's fourth-order step and
+    its exact Jacobian) and updates at the sample.
+
+    The certificate is the part of the first variance that has been removed, of the entry of
+    the estimate where it is least: between 0 and 1. It is what the linearised filter
+    believes, which from a wide first belief may be wrong: a PMSM at rest is then taken to
+    be known.
+
+    Source: Kalman and Bucy 1961, doi:10.1115/1.3658902; Jazwinski, Stochastic Processes
+    and Filtering Theory, 1970, theorem 8.1.
+    """
+
+    model: AbstractModel
+    process: Float[Array, "n n"] = eqx.field(converter=real)
+    measurement: Float[Array, "p p"] = eqx.field(converter=real)
+    initial: Float[Array, " n"] = eqx.field(converter=real)
+    covariance: Float[Array, "n n"] = eqx.field(converter=real)
+
+    def __check_init__(self) -> None:
+        for name in ("process", "measurement", "covariance"):
+            value = getattr(self, name)
+            if not isinstance(value, jax.Array) or not is_concrete(value):
+                continue  # a placeholder of a tree transformation, or traced
+            least = float(jnp.linalg.eigvalsh(0.5 * (value + value.T)).min())
+            regular = least > 0 if name == "measurement" else least >= -1e-12
+            if not (regular and jnp.allclose(value, value.T)):
+                kind = "definite" if name == "measurement" else "semidefinite"
+                raise ValueError(
+                    f"Argument `{name}` must be a symmetric positive {kind} matrix, but "
+                    f"its least eigenvalue is {least:.6g}."
+                )
+
+    @classmethod
+    def of_pmsm(
+        cls,
+        relation: FluxRelation,
+        voltage: Float[Array, ""] | float,
+        acceleration: Float[Array, ""] | float,
+        current: Float[Array, ""] | float,
+        speed_deviation: Float[Array, ""] | float = 100.0,
+        initial: Float[Array, " 4"] | None = None,
+    ) -> "ExtendedKalman":
+        """For a PMSM ([`PMSMModel`][]), from the two-sided intensities of the noise on the
+        `voltage` (V^2 s), of the electrical `acceleration` (rad^2/s^3) and of the noise on
+        the `current` (A^2 s). Without `initial` the first belief is the magnet flux along
+        the first axis at standstill, known to no better than its size, half a turn of the
+        angle, and `speed_deviation` (rad/s) of the electrical speed.
+        """
+        voltage, acceleration, current = map(real, (voltage, acceleration, current))
+        for name, value in (
+            ("voltage", voltage),
+            ("acceleration", acceleration),
+            ("current", current),
+        ):
+            positive(name, value)
+        positive("relation.magnet_flux", relation.magnet_flux, "Wb")
+        m, zero = relation.magnet_flux, jnp.zeros_like(relation.magnet_flux)
+        if initial is None:
+            initial = jnp.stack([m, zero, zero, zero])
+        process = jnp.stack([voltage, voltage, acceleration, jnp.zeros_like(voltage)])
+        spread = jnp.stack([m, m, zero + speed_deviation, zero + jnp.pi])
+        return cls(
+            PMSMModel(relation),
+            jnp.diag(process),
+            current * jnp.eye(2, dtype=current.dtype),
+            initial,
+            jnp.diag(spread**2),
+        )
+
+    @classmethod
+    def of_mechanical(
+        cls,
+        system: AbstractMechanicalSystem,
+        acceleration: Float[Array, "*n"] | float,
+        position: Float[Array, "*n"] | float,
+        velocity_deviation: Float[Array, "*n"] | float = 10.0,
+        *,
+        initial: Float[Array, " n"],
+    ) -> "ExtendedKalman":
+        """For the velocities of a mechanical system ([`MechanicalModel`][]), from the
+        two-sided intensities of the noise on each `acceleration` (m^2/s^3 or rad^2/s^3) and
+        `position` (m^2 s or rad^2 s), shape `()` or `(n,)`. The first belief is the
+        position `initial`, known to a thousandth of `velocity_deviation` times a second, at
+        rest with `velocity_deviation` (m/s or rad/s)."""
+        initial = real(initial)
+        acceleration, position = real(acceleration), real(position)
+        positive("acceleration", acceleration)
+        positive("position", position)
+        whole = lambda x: jnp.broadcast_to(real(x), initial.shape)
+        zero, spread = jnp.zeros_like(initial), whole(velocity_deviation)
+        return cls(
+            MechanicalModel(system),
+            jnp.diag(jnp.concatenate([zero, whole(acceleration)])),
+            jnp.diag(whole(position)),
+            jnp.concatenate([initial, zero]),
+            jnp.diag(jnp.concatenate([1e-3 * spread, spread]) ** 2),
+        )
+
+    @property
+    def signals(self) -> dict[str, tuple[int, ...]]:
+        return self.model.signals_of(self.initial.shape[0])
+
+    def belief(self, F: Pass, u: PyTree, y: PyTree) -> Belief:
+        """Mean and covariance of the whole state."""
+        u, y = jax.tree.map(jnp.asarray, u), jnp.atleast_1d(y)
+        law = _KalmanBucy(self.model, self.process, self.measurement, F.trust)
+        start = Belief(self.initial, self.covariance)
+        return F.evolve(law, (u, y), start, "belief")
+
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
+        x, P = self.belief(F, u, y)
+        J = jax.jacfwd(self.model.select)(x)
+        variance, first = (jnp.sum((J @ C) * J, axis=1) for C in (P, self.covariance))
+        certificate = jnp.min(1.0 - variance * safe_reciprocal(first))
+        value = self.model.select(x)
+        return Estimate(value, jnp.clip(certificate, 0.0, 1.0), jnp.asarray(False))
+
+
+def _divide(B: Float[Array, "n p"], S: Float[Array, "p p"]) -> Float[Array, "n p"]:
+    """`B S^-1` for a positive definite S."""
+    return jnp.stack([solve_definite(S, row)[0] for row in B])

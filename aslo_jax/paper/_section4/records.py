@@ -1,0 +1,113 @@
+"""Records of the sampled closed loops: encoders, noise, and what is wrong in the model."""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ... import random
+from ..._experiment import Experiment
+from ...disturbances import Chain, Encoder, SampledNoise
+from ...plants import AbstractMechanicalSystem, MechanicalState
+from . import settings as s
+
+
+class Case(NamedTuple):
+    """What the contenders are given: encoders of `bits`, white noise of a standard
+    deviation of `noise` (m or rad) per sample before them, and the true parameters, or all
+    of them 5 % `wrong`."""
+
+    bits: int
+    noise: float = 0.0
+    wrong: bool = False
+
+
+CASES = {
+    "12 bit": Case(12),
+    "16 bit": Case(16),
+    "16 bit, noise": Case(16, noise=1e-4),
+    "16 bit, 5 % wrong": Case(16, wrong=True),
+}
+VALIDATION, TRAINING = 16, 8  # records of each case, from first states of their own
+
+
+class Records(NamedTuple):
+    """`u`, `y` and the true velocities, arrays of shape (cases, records, N, ...)."""
+
+    u: Float[Array, "cases records N m"]
+    y: Float[Array, "cases records N n"]
+    velocity: Float[Array, "cases records N n"]
+
+
+INSTANTS = s.INTERVAL * np.arange(s.STEPS + 1)
+
+
+def record(mechanism: s.Mechanism) -> Records:
+    """The records of every case; those of validation come first."""
+    count = VALIDATION + TRAINING
+    positions, velocities = _starts(mechanism, count)
+    keys = jax.vmap(random.fold, (None, 0))(random.key(4), jnp.arange(count))
+    system, angles = mechanism.system, mechanism.system.angles
+
+    def one(position, velocity, key, resolution, deviation):
+        noise = SampledNoise(deviation, s.INTERVAL, key)
+        loop = Experiment(
+            system,
+            mechanism.controller(system),
+            {},
+            s.INTERVAL,
+            feedback=s.true_feedback,
+            sensor=Chain(noise, Encoder(resolution, angles)),
+            initial=MechanicalState(position, velocity),
+        )
+        run = loop.run(s.STEPS)
+        return run.u, run.y, run.hidden
+
+    cases = CASES.values()
+    resolution = jnp.array([resolutions(mechanism, case.bits) for case in cases])
+    deviation = jnp.array([case.noise for case in cases])
+    each = jax.vmap(one, (0, 0, 0, None, None))
+    return Records(
+        *jax.jit(jax.vmap(each, (None, None, None, 0, 0)))(
+            positions, velocities, keys, resolution, deviation
+        )
+    )
+
+
+def resolutions(mechanism: s.Mechanism, bits: int) -> tuple[float, ...]:
+    """Of the encoder of each coordinate (m or rad)."""
+    return tuple(span / 2**bits for span in mechanism.ranges)
+
+
+def _starts(mechanism: s.Mechanism, count: int) -> tuple[Array, Array]:
+    """First positions and velocities, each of shape (count, n), in a box about the
+    mechanism's own: Sobol points, the first of them left out, a corner."""
+    from scipy.stats import qmc
+
+    n = mechanism.coordinates
+    # A power of two, which Sobol's sequence is balanced for.
+    power = int(np.ceil(np.log2(count + 1)))
+    points = qmc.Sobol(2 * n, scramble=False).random_base2(power)[1 : count + 1]
+    about = 2.0 * points - 1.0
+    center, spread = mechanism.start, mechanism.spread
+    position = center.position + about[:, :n] * spread.position
+    return position, center.velocity + about[:, n:] * spread.velocity
+
+
+def assumed(mechanism: s.Mechanism, case: Case) -> AbstractMechanicalSystem:
+    """The system that the contenders take for the true one."""
+    directions = mechanism.parameters if case.wrong else {}
+    return wrong(mechanism, directions)
+
+
+def wrong(mechanism: s.Mechanism, directions: dict[str, int]) -> AbstractMechanicalSystem:
+    """The system with parameters 5 % too large (+1) or too small (-1)."""
+    system = mechanism.system
+    changed = {
+        name: getattr(system, name) * (1.0 + s.PARAMETER_ERROR * direction)
+        for name, direction in directions.items()
+    }
+    return dataclasses.replace(system, **changed)

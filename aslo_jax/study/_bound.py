@@ -1,0 +1,336 @@
+"""The Cramer-Rao bound: how well any observer could do on the noisy samples of a study."""
+
+import dataclasses
+import importlib.util
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from .. import _choices, random
+from .._checks import one_of
+from .._experiment import Carry, Experiment, Record
+from .._module import Module
+from .._runge_kutta import runge_kutta
+from .._typing import Average, PyTree
+from ..disturbances import AbstractDisturbance, SampledNoise
+from ..engines import run_batch
+from . import _statistics as statistics
+from ._tables import BOUND
+
+Square = Float[Array, "n n"]
+
+
+class Bound(Module):
+    """The bound at the instants `t` (s) of the samples in time, shape `(T,)`: `variance` of
+    each entry of the hidden state in its squared unit, shape `(N, T, m)`, for N
+    trajectories, or one where they were averaged before."""
+
+    t: Float[np.ndarray, " T"]
+    variance: Float[np.ndarray, "N T m"]
+
+    @property
+    def deviation(self) -> Float[np.ndarray, "T m"]:
+        """The least rms error over samples of each entry at each instant."""
+        return np.sqrt(self.variance.mean(0))
+
+    @property
+    def norm(self) -> Float[np.ndarray, " T"]:
+        """The least rms over samples of the norm of the error, at each instant."""
+        return np.sqrt(self.variance.sum(2).mean(0))
+
+    def rms(
+        self,
+        after: float = 0.0,
+        confidence: float = 0.95,
+        key: random.KeyLike | None = None,
+    ) -> statistics.Interval:
+        """The least rms, over samples and over time from `after` (s) on, of the norm of the
+        error: the bound on the rms over samples of the metric `RMSError`. The interval is
+        that of so many trajectories."""
+        counted = self.variance[:, self.t >= after]
+        if counted.shape[1] == 0:
+            raise ValueError(
+                f"Argument `after` must not be past the last sample, at {self.t[-1]:.6g} "
+                f"s, but got {after}."
+            )
+        size = np.sqrt(counted.sum(2).mean(1))
+        return statistics.rms(size, confidence, key)
+
+
+def cramer_rao(
+    make: Callable[[PyTree], Experiment],
+    samples: PyTree,
+    steps: int,
+    *,
+    prior: PyTree,
+    process: PyTree | None = None,
+    noise: Any = None,
+    average: Average = "bounds",
+) -> Bound:
+    """The Cramer-Rao bound on the error of any observer that knows the plant, the inputs
+    and the statistics of the noises, for `make(sample)` over `steps` samples in time.
+
+    - `samples`: as of [`run_batch`][], a few hundred: the trajectories over which is
+      averaged;
+    - `prior`: the standard deviation of each entry of the plant's first state, a pytree
+      like that state; zero where it is known;
+    - `process`: by default none; the root of the intensity of white noise on the derivative
+      of each entry of the state, in its unit per root second, a pytree like it. A load
+      torque of deviation s (N m), renewed every h seconds, is `s sqrt(h) / inertia` on the
+      speed;
+    - `noise`: the standard deviation of each entry of y; by default that of the
+      [`SampledNoise`][] in the experiment's `sensor`;
+    - `average`: `"bounds"` takes the bound along each trajectory, then the mean of their
+      squares; `"information"` takes expectations inside the recursion, as Tichavsky does.
+
+    [`SampledNoise`][] of the `actuator` or the `input_sensor` is unknown to an observer
+    either way, and enters as noise of the input. Other disturbances act on the
+    trajectories, and are taken as known: what an observer does not know of them only makes
+    it worse.
+
+    With `x[k+1] = f(x[k], u[k]) + w`, `y[k] = h(x[k]) + v`, F and H the Jacobians, Q and R
+    the covariances, the inverse J of the bound P obeys
+    `J[k+1] = (F J[k]^-1 F' + Q)^-1 + H'R^-1 H`, which holds for singular Q, zero included;
+    it is computed in P, so that what is known exactly stays so. `"bounds"` is run by
+    [`run_batch`][], on its fused engine where llvmlite is installed.
+
+    `"information"` holds for every observer, however biased, but needs noise on every
+    state: without, it is zero as soon as F differs between trajectories. `"bounds"` is
+    never smaller, and is what is attained where the noise is small; along one trajectory it
+    is the bound of unbiased observers. Both are the covariance of the Kalman filter where
+    the plant is linear.
+
+    Sources: Tichavsky, Muravchik, Nehorai 1998, doi:10.1109/78.668800; Taylor 1979,
+    doi:10.1109/TAC.1979.1101979, for the bound along a trajectory.
+
+    **Raises:** `ValueError` in single precision, for a sensor without noise, or for
+    `"information"` without noise on every state.
+    """
+    one_of("average", average, _choices.Average)
+    if jnp.result_type(float) != jnp.float64:
+        raise ValueError(
+            "The bound needs double precision, but JAX is in single; call "
+            '`jax.config.update("jax_enable_x64", True)` first.'
+        )
+    samples = jax.tree.map(jnp.asarray, samples)
+    model = _Model(make, prior, process, noise)
+    if average == "information":
+        t, variance, definite = _together(model, samples, steps)
+        if not bool(definite):
+            raise ValueError(
+                'Argument `average` must be "bounds" where some state has no noise, but '
+                'got "information"; or give `process` for every state.'
+            )
+    else:
+        t, variance = _each(model, samples, steps)
+    return Bound(np.asarray(t), np.asarray(variance))
+
+
+def with_bound(dataset: Any, bound: Bound, after: Mapping[str, float]) -> Any:
+    """The `xarray.Dataset` of a study with the bound, for its report.
+
+    - `after` (s) by the name of each metric of the dataset that is an `RMSError`.
+    """
+    found = {f"cramer_rao_{name}": bound.rms(t).value for name, t in after.items()}
+    dataset = dataset.assign(found)
+    if "time" in dataset.coords:
+        at = np.abs(bound.t[None] - dataset.time.values[:, None]).argmin(1)
+        dataset = dataset.assign(cramer_rao=(("time",), bound.norm[at]))
+    return dataset
+
+
+class _Model(Module):
+    """The discrete-time model of one sample, linearised about its trajectory."""
+
+    make: Callable[[PyTree], Experiment]
+    prior: PyTree
+    process: PyTree | None
+    noise: Any
+
+    def first(self, sample: PyTree) -> tuple[Carry, Record, Square]:
+        carry, record = self.make(sample).init()
+        return carry, record, jnp.diag(_flat(self.prior, carry.x) ** 2)
+
+    def onward(self, sample: PyTree, carry: Carry, prepared: Any, k: Any):
+        """The next carry and record, F and Q."""
+        experiment = self.make(sample)
+        x, back = ravel_pytree(carry.x)
+        u, held = ravel_pytree(carry.command)
+        t, h = k * experiment.interval, experiment.interval
+
+        def flow(x, u):
+            state, part = back(x), h / experiment.plant_steps
+            rate = lambda t, x: experiment.plant.vector_field(t, x, held(u))
+            for j in range(experiment.plant_steps):
+                state = runge_kutta(rate, t + j * part, state, part)
+            return ravel_pytree(state)[0]
+
+        F, G = jax.jacfwd(flow, (0, 1))(x, u)
+        unknown = _variance(experiment.actuator, carry.command)
+        unknown = unknown + _variance(experiment.input_sensor, carry.command)
+        Q = (G * unknown) @ G.T
+        if self.process is not None:
+            Q = Q + h * jnp.diag(_flat(self.process, carry.x) ** 2)
+        return *experiment.advance(k, carry, prepared), F, Q
+
+    def measured(self, sample: PyTree, carry: Carry):
+        """The rows of `R^-1/2 H`, and the Jacobian of what is hidden."""
+        plant, sensor = self.make(sample).plant, self.make(sample).sensor
+        x, back = ravel_pytree(carry.x)
+        output = lambda x: ravel_pytree(plant.output(back(x)))[0]
+        H, C = jax.jacfwd(lambda x: (output(x), plant.hidden(back(x))))(x)
+        if self.noise is None:
+            if not _noises(sensor):
+                raise ValueError(
+                    "Argument `noise` must be given where the experiment's sensor has no "
+                    "`SampledNoise`, but got None."
+                )
+            R = _variance(sensor, plant.output(carry.x))
+        else:
+            R = _flat(self.noise, plant.output(carry.x)) ** 2
+        return H / jnp.sqrt(R)[:, None], C
+
+
+class _Along(Module):
+    """The bound along the trajectory of one sample, as an experiment that an engine runs:
+    its carry is the experiment's and P, its record the variances of what is hidden."""
+
+    model: _Model
+    sample: PyTree
+
+    def init(self) -> tuple[tuple[Carry, Square], Record]:
+        return self._measured(*self.model.first(self.sample))
+
+    def prepare(self, carry: tuple[Carry, Square]) -> dict[str, PyTree]:
+        return self.model.make(self.sample).prepare(carry[0])
+
+    def advance(self, k: Any, carry: tuple[Carry, Square], prepared: dict[str, PyTree]):
+        before, P = carry
+        after, record, F, Q = self.model.onward(self.sample, before, prepared, k)
+        return self._measured(after, record, _symmetric(F @ P @ F.T + Q))
+
+    def _measured(self, carry: Carry, record: Record, P: Square):
+        rows, C = self.model.measured(self.sample, carry)
+        P = _known(P, rows)
+        variance = jnp.sum((C @ P) * C, axis=1)
+        return (carry, P), dataclasses.replace(record, estimates={BOUND: variance})
+
+
+def _each(model: _Model, samples: PyTree, steps: int):
+    """The instants, and the variances along each trajectory."""
+    make: Any = lambda sample: _Along(model, sample)
+    engine = "auto" if importlib.util.find_spec("llvmlite") else "scan"
+    kept = lambda record: (record.t, record.estimates[BOUND])
+    batch = run_batch(make, samples, steps, record=kept, every=1, engine=engine)
+    t, variance = batch.record
+    return t[0], variance
+
+
+def _known(P: Square, rows: Float[Array, "p n"]) -> Square:
+    """`(P^-1 + rows' rows)^-1`, for a singular P too: one measurement of unit variance
+    after the other, in Joseph's form. It is arithmetic alone, and what is small in P is as
+    accurate as what is large, where `(1 + P rows' rows)^-1 P` loses the square of the
+    ratio of what was known to what is measured."""
+    for row in rows:
+        g = P @ row
+        gain = g / (1.0 + row @ g)
+        P = P - jnp.outer(gain, g)
+        P = _symmetric(P + jnp.outer(gain - P @ row, gain))
+    return P
+
+
+def _symmetric(P: Square) -> Square:
+    """Of the upper triangle, so that the lower one need not be computed."""
+    n = P.shape[0]
+    return jnp.where(np.tri(n, k=-1, dtype=bool), P.T, P)
+
+
+@eqx.filter_jit
+def _together(model: _Model, samples: PyTree, steps: int):
+    """The instants, the variances with expectations inside the recursion, and whether Q is
+    definite."""
+    carries, begin, P = jax.vmap(model.first)(samples)
+    prepared = jax.vmap(lambda s, carry: model.make(s).prepare(carry))(samples, carries)
+
+    def measured(carries, P):
+        rows, C = jax.vmap(model.measured)(samples, carries)
+        P = _added(P, jnp.einsum("npi,npj->ij", rows, rows) / rows.shape[0])
+        C = C.mean(0)
+        return P, jnp.sum((C @ P) * C, axis=1)
+
+    def step(state, k):
+        carries, P = state
+        carries, record, F, Q = jax.vmap(model.onward, (0, 0, 0, None))(
+            samples, carries, prepared, k
+        )
+        F, Q, known, definite = _expected(F, Q)
+        P = F @ _added(P, known) @ F.T + Q
+        P, variance = measured(carries, P)
+        return (carries, P), (record.t[0], variance, definite)
+
+    P, variance = measured(carries, P.mean(0))
+    first = begin.t[0], variance, jnp.asarray(True)
+    _, rest = jax.lax.scan(step, (carries, P), jnp.arange(steps))
+    join = lambda a, b: jnp.concatenate([a[None], b])
+    t, variance, definite = jax.tree.map(join, first, rest)
+    return t, variance[None], definite.all()
+
+
+def _added(P: Square, information: Square) -> Square:
+    """`(P^-1 + information)^-1`, for a singular P too."""
+    P = jnp.linalg.solve(jnp.eye(P.shape[0], dtype=P.dtype) + P @ information, P)
+    return 0.5 * (P + P.T)
+
+
+def _expected(F: Float[Array, "N n n"], Q: Float[Array, "N n n"]):
+    """F, Q, and what is added to J, that give Tichavsky's recursion in the form of one
+    trajectory: with `D11 = E[F'Q^-1 F]`, `D12 = -E[F'Q^-1]`,
+    `E[Q^-1]^-1 + F (J + D11 - F'E[Q^-1] F)^-1 F'`, where `F = E[Q^-1]^-1 E[Q^-1 F]`."""
+    # A singular Q is told by its pivots, each relative to its own diagonal entry.
+    unit = jnp.sqrt(jax.vmap(jnp.diagonal)(Q))
+    correlation = Q / jnp.where(unit > 0, unit, 1.0)[:, :, None]
+    correlation = correlation / jnp.where(unit > 0, unit, 1.0)[:, None, :]
+    definite = (jnp.linalg.eigvalsh(correlation)[:, 0] > 1e-12).all()
+    inverse = jnp.linalg.inv(Q)
+    mean = jnp.linalg.inv(inverse.mean(0))
+    expected = mean @ (inverse @ F).mean(0)
+    # The mean of squares about the mean: the difference of D11 would cancel.
+    apart = F - expected
+    known = (jnp.swapaxes(apart, 1, 2) @ inverse @ apart).mean(0)
+    return expected, mean, known, definite
+
+
+def _noises(part: AbstractDisturbance | None) -> list[SampledNoise]:
+    """The white noises among the parts of a disturbance."""
+    parts = getattr(part, "parts", (part,))
+    return [p for p in parts if isinstance(p, SampledNoise)]
+
+
+def _variance(part: AbstractDisturbance | None, signal: PyTree) -> Float[Array, " p"]:
+    total = jnp.zeros_like(ravel_pytree(signal)[0])
+    for noise in _noises(part):
+        total = total + _flat(noise.deviation, signal) ** 2
+    return total
+
+
+def _flat(deviation: PyTree, like: PyTree) -> Float[Array, " n"]:
+    """The entries of a pytree beside those of one `like` it, or one number for all."""
+    shape = jax.tree.structure(like)
+    if jax.tree.structure(deviation) != shape:
+        if len(jax.tree.leaves(deviation)) != 1:
+            raise ValueError(
+                "A deviation must have the structure of what deviates, "
+                f"{shape}, but has {jax.tree.structure(deviation)}."
+            )
+        (one,) = jax.tree.leaves(deviation)
+        deviation = jax.tree.map(lambda _: one, like)
+    spread = jax.tree.map(
+        lambda d, x: jnp.broadcast_to(jnp.asarray(d, x.dtype), x.shape), deviation, like
+    )
+    return ravel_pytree(spread)[0]

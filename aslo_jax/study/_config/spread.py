@@ -1,0 +1,108 @@
+"""`[spread.NAME]` of a study."""
+
+import abc
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from ...schema import Positive, Table, key
+from .._distributions import (
+    AbstractDistribution,
+    Correlated,
+    Discrete,
+    LogNormal,
+    Normal,
+    Uniform,
+)
+from .._spread import Parameter
+
+WHERE = "path of what it sets, for instance plant.resistance"
+
+
+class AbstractSpreadTable(Table, abc.ABC):
+    """A parameter that varies."""
+
+    where: Any
+    distribution: Any
+    relative: bool = key("whether it multiplies what the experiment has", default=False)
+
+    @abc.abstractmethod
+    def law(self) -> AbstractDistribution:
+        """Its distribution."""
+
+
+class NormalTable(AbstractSpreadTable):
+    """A normal distribution."""
+
+    where: str = key(WHERE)
+    distribution: Literal["normal"] = key("the distribution")
+    mean: float = key("mean")
+    deviation: Positive = key("standard deviation")
+
+    def law(self) -> AbstractDistribution:
+        return Normal(self.mean, self.deviation)
+
+
+class UniformTable(AbstractSpreadTable):
+    """A uniform distribution."""
+
+    where: str = key(WHERE)
+    distribution: Literal["uniform"] = key("the distribution")
+    low: float = key("the least value")
+    high: float = key("the largest value")
+
+    def law(self) -> AbstractDistribution:
+        return Uniform(self.low, self.high)
+
+
+class LogNormalTable(AbstractSpreadTable):
+    """A log-normal distribution."""
+
+    where: str = key(WHERE)
+    distribution: Literal["log-normal"] = key("the distribution")
+    median: Positive = key("median")
+    deviation: Positive = key("standard deviation of the logarithm")
+
+    def law(self) -> AbstractDistribution:
+        return LogNormal(self.median, self.deviation)
+
+
+class DiscreteTable(AbstractSpreadTable):
+    """A discrete distribution."""
+
+    where: str = key(WHERE)
+    distribution: Literal["discrete"] = key("the distribution")
+    values: list[float] = key("the values")
+    weights: list[float] | None = key("their weights, by default equal", default=None)
+
+    def law(self) -> AbstractDistribution:
+        weights = None if self.weights is None else tuple(self.weights)
+        return Discrete(tuple(self.values), weights)
+
+
+class CorrelatedTable(AbstractSpreadTable):
+    """A joint normal distribution."""
+
+    where: list[str] = key("paths of what it sets, one for each number")
+    distribution: Literal["correlated"] = key("the distribution")
+    mean: list[float] = key("means")
+    deviation: list[Positive] = key("standard deviations")
+    correlation: list[list[float]] = key("matrix of correlations")
+    names: list[str] | None = key("of the numbers, by default counted", default=None)
+
+    def law(self) -> AbstractDistribution:
+        return Correlated.of(self.mean, self.deviation, self.correlation)
+
+
+SpreadItem = Annotated[
+    NormalTable | UniformTable | LogNormalTable | DiscreteTable | CorrelatedTable,
+    Field(discriminator="distribution"),
+]
+
+
+def parameter(table: AbstractSpreadTable) -> Parameter:
+    """The parameter of a table."""
+    names = getattr(table, "names", None)
+    return Parameter(
+        table.where, table.law(), table.relative, None if names is None else tuple(names)
+    )

@@ -1,0 +1,210 @@
+"""What a model predicts along a log: states carried along their known derivative, and the
+gap of the equation that they should satisfy at every sample."""
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..._module import Module
+from ..._relations import AbstractTerms, Quadratic, Rate
+from ..._runge_kutta import runge_kutta
+from ..._typing import RealArray
+from ...observers import AlgebraicObserver, Asymptotic, BearingObserver, SideBySide
+from ...plants import (
+    WRIM,
+    AbstractMechanicalSystem,
+    MechanicalState,
+    SalientFluxRelation,
+)
+from .corrected import Corrected
+
+Relation = Callable[[Any, Any], AbstractTerms]
+
+
+class AbstractPrediction(Module):
+    """`x' = drift(x, u, y)` with `gap(x, u, y) = 0` for the true x and y."""
+
+    @abc.abstractmethod
+    def drift(
+        self, x: Float[Array, " n"], u: Float[Array, " m"], y: Float[Array, " p"]
+    ) -> Float[Array, " n"]:
+        """The known derivative of x (units of x per second)."""
+
+    @abc.abstractmethod
+    def gap(
+        self, x: Float[Array, " n"], u: Float[Array, " m"], y: Float[Array, " p"]
+    ) -> Float[Array, " g"]:
+        """How far the equations are from holding, in any units: their size cancels."""
+
+    @abc.abstractmethod
+    def step(
+        self,
+        x: Float[Array, " n"],
+        disturbance: Float[Array, " w"],
+        u: Float[Array, " m"],
+        y: tuple[Float[Array, " p"], Float[Array, " p"]],
+        h: Float[Array, ""],
+    ) -> Float[Array, " n"]:
+        """x after `h` seconds, with u held, y on a line between two values, and
+        `disturbance` added to the derivatives that it enters."""
+
+    @property
+    @abc.abstractmethod
+    def disturbed(self) -> tuple[int, ...]:
+        """The entries of x whose derivatives are disturbed."""
+
+
+class RelationPrediction(AbstractPrediction):
+    """One relation or several: their states one after the other, each with a gap.
+
+    A linear or quadratic relation is its own gap. That of a rate relation is the measured s
+    less its own prediction, which is one more state: nothing is differentiated.
+
+    - `constants`: of each relation, what its d is wrong by, shape `(relations,)`;
+    - `sizes`: of the states of each; `rates`: whether it is a rate relation.
+    """
+
+    relations: tuple[Relation, ...]
+    constants: Float[Array, " relations"]
+    sizes: tuple[int, ...] = eqx.field(static=True)
+    rates: tuple[bool, ...] = eqx.field(static=True)
+
+    def _parts(self, x):
+        start = 0
+        for size in self.sizes:
+            yield x[start : start + size]
+            start += size
+
+    def drift(self, x: RealArray, u: RealArray, y: RealArray) -> RealArray:
+        found = []
+        for relation, part, rate in zip(
+            self.relations, self._parts(x), self.rates, strict=True
+        ):
+            terms = relation(u, y)
+            hidden = part[:-1] if rate else part
+            found.append(terms.drift(hidden))
+            if isinstance(terms, Rate):
+                given = jnp.sum(terms.c * hidden) - (0.0 if terms.d is None else terms.d)
+                found.append(given[None])
+        return jnp.concatenate(found)
+
+    def step(
+        self,
+        x: RealArray,
+        disturbance: RealArray,
+        u: RealArray,
+        y: tuple[RealArray, RealArray],
+        h: RealArray,
+    ) -> RealArray:
+        # Heun's method, exact where the known derivative does not depend on x.
+        added = jnp.zeros_like(x).at[jnp.asarray(self.disturbed)].add(disturbance)
+        left = self.drift(x, u, y[0]) + added
+        right = self.drift(x + h * left, u, y[1]) + added
+        return x + 0.5 * h * (left + right)
+
+    def gap(self, x: RealArray, u: RealArray, y: RealArray) -> RealArray:
+        found = []
+        for relation, part, constant in zip(
+            self.relations, self._parts(x), self.constants, strict=True
+        ):
+            terms = relation(u, y)
+            if isinstance(terms, Rate):
+                found.append(terms.s - part[-1] - constant)
+            else:
+                found.append(residual(terms, part)[0] - constant)
+        return jnp.stack(found)
+
+    @property
+    def disturbed(self) -> tuple[int, ...]:
+        entries, start = [], 0
+        for size, rate in zip(self.sizes, self.rates, strict=True):
+            entries += range(start, start + size - rate)
+            start += size
+        return tuple(entries)
+
+
+def residual(terms: Any, x: Float[Array, " n"]) -> tuple[Array, Array]:
+    """`1/2 x'Q x - c'x - d` of a quadratic relation, `c'x - d` of a linear one, and its
+    gradient in x."""
+    if isinstance(terms, Quadratic):
+        Qx = terms.times(x)
+        return 0.5 * jnp.sum(x * Qx) - jnp.sum(terms.c * x) - terms.d, Qx - terms.c
+    return jnp.sum(terms.c * x) - terms.d, terms.c
+
+
+class NewtonPrediction(AbstractPrediction):
+    """A mechanical system: x is its coordinates and velocities, the gap what is measured
+    of the former less what is predicted: the acceleration residual without a derivative."""
+
+    system: AbstractMechanicalSystem
+    coordinates: int = eqx.field(static=True)
+
+    def drift(self, x: RealArray, u: RealArray, y: RealArray) -> RealArray:
+        del y
+        n = self.coordinates
+        state = MechanicalState(x[:n], x[n:])
+        rate = self.system.vector_field(jnp.zeros(()), state, u)
+        return jnp.concatenate([rate.position, rate.velocity])
+
+    def step(
+        self,
+        x: RealArray,
+        disturbance: RealArray,
+        u: RealArray,
+        y: tuple[RealArray, RealArray],
+        h: RealArray,
+    ) -> RealArray:
+        added = jnp.zeros_like(x).at[jnp.asarray(self.disturbed)].add(disturbance)
+        rate = lambda t, x: self.drift(x, u, y[0]) + added
+        return runge_kutta(rate, jnp.zeros_like(h), x, h)
+
+    def gap(self, x: RealArray, u: RealArray, y: RealArray) -> RealArray:
+        del u
+        return y - x[: self.coordinates]
+
+    @property
+    def disturbed(self) -> tuple[int, ...]:
+        return tuple(range(self.coordinates, 2 * self.coordinates))
+
+
+def observers_of(model: Any) -> tuple[AlgebraicObserver, ...] | None:
+    """The algebraic observers in an observer, `None` where it is not one."""
+    match model:
+        case AlgebraicObserver():
+            return (model,)
+        case Asymptotic():
+            return observers_of(model.observer)
+        case BearingObserver():
+            return (model.flux,)
+        case SideBySide():
+            inner = [observers_of(part) for part in model.observers.values()]
+            if all(part is not None for part in inner):
+                return tuple(o for part in inner if part is not None for o in part)
+    return None
+
+
+def relations_of(model: Any) -> tuple[Relation, ...] | None:
+    """The relations of an observer or a plant, `None` where it has none."""
+    observers = observers_of(model)
+    if observers is not None:
+        return tuple(observer.relation for observer in observers)
+    if isinstance(model, WRIM):
+        return model.flux_relation("stator"), model.flux_relation("rotor")
+    if hasattr(model, "flux_relation"):
+        return (model.flux_relation(),)
+    return None
+
+
+def open_constant(relation: Relation) -> Array | None:
+    """What a relation's d lacks: the magnet flux, of which the observer needs nothing. It
+    is `None` for a relation that is complete."""
+    while isinstance(relation, Corrected):
+        relation = relation.relation
+    if isinstance(relation, SalientFluxRelation):
+        return jnp.zeros(())
+    magnet_flux = getattr(relation, "magnet_flux", None)
+    return None if magnet_flux is None else jnp.asarray(magnet_flux)

@@ -1,0 +1,254 @@
+"""A calibration as a problem of least squares: what is unknown, and where it starts."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._module import Module
+from ..._relations import Rate
+from ..._replay import replay
+from ...observers import Unwrapped, VelocityObserver
+from ...plants import AbstractMechanicalSystem
+from . import start
+from .imperfections import sizes_of
+from .parameters import Parameters
+from .predict import (
+    AbstractPrediction,
+    NewtonPrediction,
+    RelationPrediction,
+    open_constant,
+    relations_of,
+    residual,
+)
+from .whiten import Signals
+
+SLOPE = 20  # rows from which the first velocities of a mechanical system are guessed
+
+
+Vector = Array | np.ndarray
+
+
+class Form(Module):
+    """How a model predicts: a mechanical system, or relations with what is known of them.
+
+    - `sizes`, `rates`: as in [`RelationPrediction`][]; `opened`: which constants are free.
+    """
+
+    coordinates: int = eqx.field(static=True, default=0)
+    sizes: tuple[int, ...] = eqx.field(static=True, default=())
+    rates: tuple[bool, ...] = eqx.field(static=True, default=())
+    opened: tuple[bool, ...] = eqx.field(static=True, default=())
+
+    def prediction(self, model: Any, constants: Vector) -> AbstractPrediction:
+        """Of the `model`, with the values of its free constants."""
+        if self.coordinates:
+            return NewtonPrediction(model, self.coordinates)
+        relations = relations_of(model)
+        assert relations is not None
+        free = np.flatnonzero(self.opened)
+        every = jnp.zeros(len(relations)).at[free].set(constants)
+        return RelationPrediction(relations, every, self.sizes, self.rates)
+
+
+class Problem(Module):
+    """The unknowns are the parameters `q`, the first states, and the free constants.
+
+    `unknowns` is where they start, one vector in this order. The last `tested` parameters
+    stay there: of them only slopes are asked for.
+    """
+
+    parameters: Parameters
+    form: Form
+    signals: Signals
+    unknowns: Float[np.ndarray, " v"]
+    states: int = eqx.field(static=True)
+    tested: int = eqx.field(static=True)
+
+    @property
+    def found(self) -> tuple[str, ...]:
+        """The names of the parameters that are to be found."""
+        return self.parameters.names[: len(self.parameters.names) - self.tested]
+
+    def split(self, v: Vector) -> tuple[Any, Vector, Vector]:
+        """The model and the errors of the record ([`Recorded`][]), the first states and the
+        constants of a vector of unknowns."""
+        k = len(self.parameters.names)
+        return self.parameters.place(v[:k]), v[k : k + self.states], v[k + self.states :]
+
+    def prediction(self, v: Vector) -> tuple[AbstractPrediction, Any, Signals]:
+        """What is predicted with the unknowns `v`, from which states on, and of which
+        signals."""
+        recorded, x0, constants = self.split(v)
+        signals = recorded.imperfections(self.signals)
+        return self.form.prediction(recorded.model, constants), x0, signals
+
+    def drift(self) -> Float[np.ndarray, "N n"]:
+        """The derivatives of the states at their start (their units per second)."""
+        return np.asarray(_drift(self, self.unknowns))
+
+
+@eqx.filter_jit
+def _drift(problem, v):
+    prediction, x0, signals = problem.prediction(v)
+    return jax.vmap(lambda u, y: prediction.drift(x0, u, y))(signals.u, signals.y)
+
+
+def problem_of(
+    parameters: Parameters,
+    t: Float[np.ndarray, " N"],
+    u: Float[np.ndarray, "N m"],
+    y: Float[np.ndarray, "N p"],
+    cutoff: float | None,
+    constant: bool | None,
+    scale: Mapping[str, float],
+    tested: int,
+) -> Problem:
+    """The problem of a log, with a first guess of all that is unknown."""
+    model = parameters.model.model
+    for name in scale:
+        if name not in parameters.names:
+            raise ValueError(
+                f"Argument `scale` must name parameters among {', '.join(parameters.names)}"
+                f", but got `{name}`."
+            )
+    if isinstance(model, AbstractMechanicalSystem):
+        return _mechanical(parameters, t, u, y, scale, tested)
+    relations = relations_of(model)
+    if relations is None:
+        system = isinstance(model, Unwrapped | VelocityObserver)
+        remedy = (
+            "pass the mechanical system itself, whose parameters its coordinates share"
+            if system
+            else "pass an observer or a plant with a relation, or a mechanical system"
+        )
+        raise ValueError(
+            f"Argument `model` must have a relation, but got {type(model).__name__}; "
+            f"{remedy}."
+        )
+    return _related(parameters, relations, t, u, y, cutoff, constant, scale, tested)
+
+
+def _mechanical(parameters, t, u, y, scale, tested):
+    system = parameters.model.model
+    if any(system.angles):
+        y = np.where(system.angles, np.unwrap(y, axis=0), y)
+    rows = min(SLOPE, t.size)
+    slope = np.polyfit(t[:rows] - t[0], y[:rows], 1)[0]
+    signals = Signals(np.diff(t), u, y)
+    n = y.shape[1]
+    x = np.concatenate([y, np.gradient(y, t, axis=0)], axis=1)
+    form = Form(coordinates=n)
+    parameters = _scaled(parameters, form, signals, x, np.zeros(0), scale)
+    unknowns = np.concatenate([np.zeros(len(parameters.names)), y[0], slope])
+    return Problem(parameters, form, signals, unknowns, 2 * n, tested)
+
+
+def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
+    terms = [jax.eval_shape(r, u[0], y[0]) for r in relations]
+    rates = tuple(isinstance(term, Rate) for term in terms)
+    opened = tuple(
+        not rate and (_opened(parameters, j) if constant is None else constant)
+        for j, rate in enumerate(rates)
+    )
+    whole = Signals(np.diff(t), u, y)
+    if cutoff is None:
+        cutoff = start.typical_cutoff(relations, whole)
+    observers = start.Observers(cutoff)
+    sizes = tuple(term.z.shape[0] + rate for term, rate in zip(terms, rates, strict=True))
+    form = Form(sizes=sizes, rates=rates, opened=opened)
+    estimates = [replay(o, t, u, y) for o in observers(parameters.model.model)]
+    x = np.concatenate(
+        [_states(e.value, y, r) for e, r in zip(estimates, rates, strict=True)], axis=1
+    )
+    parameters = _scaled(parameters, form, whole, x, np.zeros(sum(opened)), scale)
+    q = start.first_guess(parameters, observers, t, whole, opened, tested)
+    recorded = parameters.place(q)
+    found = observers(recorded.model)
+    _, u, y = (np.asarray(x) for x in recorded.imperfections(whole))
+    estimates = [replay(o, t, u, y) for o in found]
+    weights = [
+        np.asarray(start.trusted(e, jnp.asarray(t), o))
+        for e, o in zip(estimates, found, strict=True)
+    ]
+    certified = np.all([w > 0 for w in weights], axis=0)
+    if certified.sum() < 0.1 * t.size:
+        raise ValueError(
+            "No calibration: the algebraic estimates are certified in "
+            f"{100 * certified.mean():.2g} % of the rows of the log, but a tenth is "
+            "needed; record a run in motion, or choose another `cutoff`."
+        )
+    k = int(np.argmax(certified))
+    signals = Signals(*(x[k:] for x in whole))
+    first, constants = [], []
+    for relation, estimate, w, rate, is_open in zip(
+        [o.relation for o in found], estimates, weights, rates, opened, strict=True
+    ):
+        first.append(np.asarray(estimate.value)[k])
+        if rate:
+            terms_there: Any = relation(u[k], y[k])
+            first.append(np.asarray(terms_there.s)[None])
+        if is_open:
+            gap = jax.vmap(lambda x, u, y, r=relation: residual(r(u, y), x)[0])
+            gaps = np.asarray(gap(estimate.value, u, y))
+            constants.append([np.sum(w * gaps) / np.sum(w)])
+    unknowns = np.concatenate([q, *first, *constants])
+    return Problem(parameters, form, signals, unknowns, sum(sizes), tested)
+
+
+def _states(value, y, rate):
+    return np.concatenate([value, y[:, :1]], 1) if rate else np.asarray(value)
+
+
+def _opened(parameters: Parameters, j: int) -> bool:
+    """Whether the constant of relation `j` is unknown and no parameter stands for it."""
+
+    def constant(q):
+        relations = relations_of(parameters.place(q).model)
+        assert relations is not None
+        return open_constant(relations[j])
+
+    zero = jnp.zeros(len(parameters.names))
+    if constant(zero) is None:
+        return False
+    return not np.any(np.asarray(jax.jacfwd(constant)(zero)))
+
+
+def _scaled(
+    parameters: Parameters,
+    form: Form,
+    signals: Signals,
+    x: Float[np.ndarray, "N n"],
+    constants: Float[np.ndarray, " c"],
+    scale: Mapping[str, float],
+) -> Parameters:
+    """Sizes for parameters that start at zero: those that are given, the rms of the output
+    for its offset, or else what makes the derivatives of the states as large again."""
+    size = parameters.scale.copy()
+    unit = dataclasses.replace(parameters, scale=np.ones_like(size))
+    if (size == 0).any():
+
+        def drift(q, x, u, y):
+            return form.prediction(unit.place(q).model, constants).drift(x, u, y)
+
+        zero = jnp.zeros(size.size)
+        each = jax.vmap(drift, (None, 0, 0, 0))(zero, x, signals.u, signals.y)
+        slopes = jax.vmap(jax.jacfwd(drift), (None, 0, 0, 0))(zero, x, signals.u, signals.y)
+        each, slopes = np.asarray(each), np.asarray(slopes)
+        known = sizes_of(signals)
+        for j in np.flatnonzero(size == 0):
+            field = parameters.names[j].partition("[")[0]
+            if field in known:
+                size[j] = known[field]
+                continue
+            entries = np.any(slopes[:, :, j] != 0, axis=0)
+            moved = np.sqrt(np.mean(slopes[:, entries, j] ** 2)) if entries.any() else 0.0
+            size[j] = np.sqrt(np.mean(each[:, entries] ** 2)) / moved if moved else 1.0
+    for name, value in scale.items():
+        size[parameters.names.index(name)] = value
+    return dataclasses.replace(parameters, scale=size)
