@@ -212,13 +212,13 @@ class Switched(AbstractLaw):
     def _either(self, a: PyTree, b: PyTree) -> PyTree:
         return jax.tree.map(lambda a, b: jnp.where(self.missing, a, b), a, b)
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> Any:
         return self._either(self.alone.flow(X, v), self.measured.flow(X, v))
 
-    def discretise(self, h):
+    def discretise(self, h: Any) -> Any:
         return self.measured.discretise(h), self.alone.discretise(h)
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> Any:
         measured, alone = coefficients
         return self._either(
             self.alone.advance(X, v0, v1, alone),

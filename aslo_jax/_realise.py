@@ -137,7 +137,7 @@ class Flow(AbstractRealisation):
         self.drives[name] = v
         return X
 
-    def shift(self, name, by):
+    def shift(self, name: Any, by: Any) -> Any:
         self.states = {**self.states, name: _found(self.states, name) + by}
 
     def loop(

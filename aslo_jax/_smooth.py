@@ -5,11 +5,12 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float, PyTree
+from jaxtyping import Array, ArrayLike, Float
 
 from ._checks import unlike
 from ._factored import unpacked
 from ._replay import checked_log
+from ._typing import PyTree
 from .observers import AbstractObserver, Estimate, Lifted
 from .observers._lifted_filter import LiftedBelief, Stage
 from .observers._lifting import entries, rows_of

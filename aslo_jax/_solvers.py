@@ -1,7 +1,7 @@
 """Runge and Kutta's fourth-order step, for the sampled loop and as a solver of diffrax."""
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import diffrax
 import jax
@@ -24,13 +24,22 @@ class RungeKutta4(diffrax.AbstractSolver[None]):
         diffrax.ThirdOrderHermitePolynomialInterpolation
     )
 
-    def order(self, terms):
+    def order(self, terms: Any) -> Any:
         return 4
 
-    def init(self, terms, t0, t1, y0, args):
+    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> Any:
         return None
 
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+    def step(
+        self,
+        terms: Any,
+        t0: Any,
+        t1: Any,
+        y0: Any,
+        args: Any,
+        solver_state: Any,
+        made_jump: Any,
+    ) -> Any:
         del solver_state, made_jump
         h = t1 - t0
 
@@ -42,5 +51,5 @@ class RungeKutta4(diffrax.AbstractSolver[None]):
         dense = {"y0": y0, "y1": y1, "k0": steps[0], "k1": steps[1]}
         return y1, None, dense, None, diffrax.RESULTS.successful
 
-    def func(self, terms, t0, y0, args):
+    def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
         return terms.vf(t0, y0, args)

@@ -38,7 +38,7 @@ class Frame:
     pole_pairs: int | None = None
     power_invariant: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.name not in FRAMES:
             raise LogError(
                 f"Argument `frame` (option --frame) must be one of {', '.join(FRAMES)}, "

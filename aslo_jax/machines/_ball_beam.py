@@ -1,11 +1,12 @@
 """`kind = "ball_beam"`: the ball on a beam."""
 
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 from ..plants import BallBeam
 from ..schema import Positive, Table, key
-from ._base import Unknowns
+from ._base import Layout, Unknowns
 from ._mechanism import AbstractMechanism, Two, layout, study
+from ._study import Study
 
 
 class BallBeamTable(Table):
@@ -29,12 +30,14 @@ class BallBeamDescription(AbstractMechanism[BallBeamTable]):
     machine: BallBeamTable
 
     kind = "ball_beam"
-    title = "Ball and beam"
-    layout = layout((False, True), 1, "q1 ball, q2 beam; u1 torque over the ball's mass")
-    unknowns = Unknowns(("length", "damping"), further=("gravity",))
-    study = study(
+    title: ClassVar[str] = "Ball and beam"
+    layout: ClassVar[Layout] = layout(
+        (False, True), 1, "q1 ball, q2 beam; u1 torque over the ball's mass"
+    )
+    unknowns: ClassVar[Unknowns] = Unknowns(("length", "damping"), further=("gravity",))
+    study: ClassVar[Study | None] = study(
         BallBeamTable, BallBeam, {"ball": "m/s", "beam": "rad/s"}, "ball_beam_tracking"
     )
 
-    def plant(self):
+    def plant(self) -> Any:
         return BallBeam(**self.machine.model_dump(exclude={"kind"}))

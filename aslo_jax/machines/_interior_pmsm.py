@@ -1,6 +1,7 @@
 """`kind = "interior_pmsm"`: the interior permanent-magnet synchronous motor."""
 
-from typing import ClassVar, Literal
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,11 +11,21 @@ from .._completions import LeastSquares, Repeat
 from .._filters import LowPass
 from .._guard import Guard
 from ..diagnosis import Circle
-from ..observers import SelfConsistent
+from ..logs import Log
+from ..observers import AbstractObserver, SelfConsistent
 from ..plants import InteriorPMSM, SalientFluxRelation
 from ..schema import Positive, Table, Whole, key
 from . import _keys as keys, motor
-from ._base import AbstractDescription, MachineError, Rate, Unknowns, algebraic
+from ._base import (
+    AbstractDescription,
+    Columns,
+    Layout,
+    MachineError,
+    Rate,
+    Rates,
+    Unknowns,
+    algebraic,
+)
 
 
 class InteriorPMSMTable(Table):
@@ -64,13 +75,15 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
     observer: InteriorPMSMObserver = InteriorPMSMObserver()
 
     kind = "interior_pmsm"
-    title = "Interior PMSM"
-    layout = motor.LAYOUT
+    title: ClassVar[str] = "Interior PMSM"
+    layout: ClassVar[Layout] = motor.LAYOUT
     motion = "does the motor turn?"
-    residual = "| |flux - Lq i| - m - (Ld - Lq) i_d | / magnet flux"
-    refused: ClassVar = {}
-    longest_interval = motor.LONGEST_INTERVAL
-    unknowns = Unknowns(refused="its relation holds only up to the ripple of the d current")
+    residual: ClassVar[str] = "| |flux - Lq i| - m - (Ld - Lq) i_d | / magnet flux"
+    refused: ClassVar[Mapping[str, str]] = {}
+    longest_interval: ClassVar[float] = motor.LONGEST_INTERVAL
+    unknowns: ClassVar[Unknowns] = Unknowns(
+        refused="its relation holds only up to the ripple of the d current"
+    )
 
     @model_validator(mode="after")
     def _agree(self):
@@ -90,7 +103,7 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
             )
         return self
 
-    def plant(self):
+    def plant(self) -> Any:
         if self.machine.magnet_flux is None:
             raise MachineError(
                 "`machine.magnet_flux` must be given for a plant, but is missing; the "
@@ -98,7 +111,7 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
             )
         return InteriorPMSM(**self.machine.model_dump(exclude={"kind"}))
 
-    def default_rates(self, log, stated):
+    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
         rates = motor.motor_rates(log, stated)
         cutoff = rates["cutoff"].value if "cutoff" in rates else stated.get("cutoff")
         needed = self.observer.saliency == "self-consistent" and "gain" not in stated
@@ -106,10 +119,10 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
             rates["gain"] = Rate(cutoff, "that of the filter")
         return rates
 
-    def condensed(self, log):
+    def condensed(self, log: Log) -> Log:
         return motor.driving(log, self.machine.resistance)
 
-    def state_observer(self, rates):
+    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         settings, cutoff = self.observer, rates["cutoff"].value
         if settings.saliency == "self-consistent":
             least_squares = settings.completion == "least-squares"
@@ -136,14 +149,14 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
             gain=rates.get("gain"),
         )
 
-    def columns(self, estimate, log):
+    def columns(self, estimate: Any, log: Log) -> Columns:
         active = np.asarray(estimate.value) - self.machine.quadrature_inductance * log.y
         return motor.motor_columns(estimate, active)
 
-    def truth(self, log):
+    def truth(self, log: Log) -> Columns:
         return motor.motor_truth(log, self.machine.pole_pairs)
 
-    def circles(self):
+    def circles(self) -> tuple[Circle, ...]:
         machine = self.machine
         circle = Circle(
             "flux",
@@ -155,7 +168,7 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
         )
         return (circle,)
 
-    def residuals(self, columns, log):
+    def residuals(self, columns: Columns, log: Log) -> Columns:
         if self.machine.magnet_flux is None:
             return {}
         machine, m = self.machine, self.machine.magnet_flux

@@ -1,5 +1,6 @@
 """`kind = "magnetic_bearing"`: one axis of an active magnetic bearing."""
 
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -7,16 +8,18 @@ from pydantic import Field
 
 from .._filters import LowPass
 from .._guard import Guard
-from ..logs import Signals
-from ..observers import AlgebraicObserver, BearingObserver
+from ..logs import Log, Signals
+from ..observers import AbstractObserver, AlgebraicObserver, BearingObserver
 from ..plants import MagneticBearing
 from ..schema import NoLoad, Numbers, Positive, Table, WaveTable, key
 from . import _keys as keys, offers
 from ._base import (
     AbstractDescription,
+    Columns,
     Layout,
     Quantity,
     Rate,
+    Rates,
     Unknowns,
     certified,
     in_columns,
@@ -110,8 +113,8 @@ class MagneticBearingDescription(
     observer: MagneticBearingObserver = MagneticBearingObserver()
 
     kind = "magnetic_bearing"
-    title = "Magnetic bearing"
-    layout = Layout(
+    title: ClassVar[str] = "Magnetic bearing"
+    layout: ClassVar[Layout] = Layout(
         Signals(
             inputs=("u_1", "u_2"),
             outputs=("i_1", "i_2"),
@@ -125,15 +128,19 @@ class MagneticBearingDescription(
         ),
     )
     motion = "does the body move, or the common part of the currents vary?"
-    residual = "| i1 flux2 + i2 flux1 - (4 g/k) flux1 flux2 | / sum of the sizes"
-    refused: ClassVar = {
+    residual: ClassVar[str] = (
+        "| i1 flux2 + i2 flux1 - (4 g/k) flux1 flux2 | / sum of the sizes"
+    )
+    refused: ClassVar[Mapping[str, str]] = {
         "pll_bandwidth": "nothing turns in it, so there is no angle to follow; remove it",
         "gain": "its observer has no asymptotic form; remove it",
         "start": "its observer has the exact start only; remove it",
     }
-    longest_interval = 5e-3
-    unknowns = Unknowns(("resistance", "gap"), further=("force_constant",))
-    study = Study(
+    longest_interval: ClassVar[float] = 5e-3
+    unknowns: ClassVar[Unknowns] = Unknowns(
+        ("resistance", "gap"), further=("force_constant",)
+    )
+    study: ClassVar[Study | None] = Study(
         machine=MagneticBearingTable,
         acting=SuspensionTable,
         entries=(*FLUX, "position", "velocity"),
@@ -143,32 +150,32 @@ class MagneticBearingDescription(
         controls=("levitation",),
     )
 
-    def plant(self):
+    def plant(self) -> Any:
         table = self.machine.model_dump(exclude={"kind", "resistance"})
         return MagneticBearing(np.asarray(self.machine.resistance), **table)
 
-    def default_rates(self, log, stated):
+    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
         defaults = {
             "cutoff": Rate(CUTOFF, "by default"),
             "velocity_cutoff": Rate(VELOCITY_CUTOFF, "by default"),
         }
         return {name: rate for name, rate in defaults.items() if name not in stated}
 
-    def state_observer(self, rates):
+    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         guard = Guard(threshold=self.observer.threshold)
         flux = AlgebraicObserver(
             self.plant().flux_relation(), LowPass(rates["cutoff"].value), guard=guard
         )
         return BearingObserver(flux, LowPass(rates["velocity_cutoff"].value), guard)
 
-    def columns(self, estimate, log):
+    def columns(self, estimate: Any, log: Log) -> Columns:
         names = (*FLUX, "position", "velocity")
         return in_columns(names, estimate.value) | certified(estimate)
 
-    def truth(self, log):
+    def truth(self, log: Log) -> Columns:
         return log.truth
 
-    def residuals(self, columns, log):
+    def residuals(self, columns: Columns, log: Log) -> Columns:
         flux_1, flux_2 = (columns[name] for name in FLUX)
         one, two = log.y[:, 0] * flux_2, log.y[:, 1] * flux_1
         both = 4.0 * self.machine.gap / self.machine.force_constant * flux_1 * flux_2

@@ -1,14 +1,14 @@
 """`kind = "mechanical"`: any mechanical system, written in Python."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import jax
 from pydantic import Field, PrivateAttr, model_validator
 
 from .._structure import Structure, structure_of
 from ..schema import Table, key
-from ._base import Unknowns
+from ._base import Layout, Unknowns
 from ._mechanism import AbstractMechanism, layout
 from ._python import load_system
 
@@ -35,9 +35,9 @@ class MechanicalDescription(AbstractMechanism[MechanicalTable]):
     _form: Any = PrivateAttr(default=None)
 
     kind = "mechanical"
-    title = "Mechanical system"
-    layout = layout((False, True), 2, OPEN)
-    unknowns = Unknowns(
+    title: ClassVar[str] = "Mechanical system"
+    layout: ClassVar[Layout] = layout((False, True), 2, OPEN)
+    unknowns: ClassVar[Unknowns] = Unknowns(
         refused="its parameters are in Python; use `aslo_jax.tune.calibrate` there"
     )
 
@@ -51,7 +51,7 @@ class MechanicalDescription(AbstractMechanism[MechanicalTable]):
             raise ValueError(f"`machine.system`, {self.machine.system}: {error}") from error
         return self
 
-    def plant(self):
+    def plant(self) -> Any:
         return self._system
 
     def form(self) -> Structure:

@@ -19,10 +19,12 @@ from ..schema import NonNegative, Positive, Table, key
 from . import _keys as keys, offers
 from ._base import (
     AbstractDescription,
+    Columns,
     Layout,
     MachineError,
     Quantity,
     Rate,
+    Rates,
     certified,
     relative,
 )
@@ -121,13 +123,15 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
     observer: VelocityObserverTable = VelocityObserverTable()
 
     motion = "is the log longer than one over the cutoff?"
-    residual = "| change of q - integral of qdot | / integral of |qdot|, in 100 rows"
-    refused: ClassVar = {
+    residual: ClassVar[str] = (
+        "| change of q - integral of qdot | / integral of |qdot|, in 100 rows"
+    )
+    refused: ClassVar[Mapping[str, str]] = {
         "pll_bandwidth": "its velocities come from its equations, not from a loop that "
         "follows an angle; remove it",
     }
-    longest_interval = 0.1
-    memory = WINDOW
+    longest_interval: ClassVar[float] = 0.1
+    memory: ClassVar[int] = WINDOW
 
     @abc.abstractmethod
     def plant(self) -> AbstractMechanicalSystem:
@@ -137,7 +141,7 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
         """The form of its observer."""
         return structure_of(self.plant())
 
-    def default_rates(self, log, stated):
+    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
         fastest = self._fastest_decay()
         if "cutoff" in stated:
             if stated["cutoff"] <= fastest:
@@ -154,7 +158,7 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
             cutoff, why = 2.0 * fastest, "twice the varying friction over its inertia"
         return {"cutoff": Rate(cutoff, why)}
 
-    def condensed(self, log):
+    def condensed(self, log: Log) -> Log:
         return Log(log.t, np.zeros((log.t.size, 0)), log.y, {})
 
     def _fastest_decay(self) -> float:
@@ -181,16 +185,16 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
         each = inner.velocities
         return Unwrapped(each, system.angles) if any(system.angles) else each
 
-    def columns(self, estimate, log):
+    def columns(self, estimate: Any, log: Log) -> Columns:
         velocities = {name: np.asarray(e.value)[:, 0] for name, e in estimate.items()}
         for name, each in estimate.items():
             velocities |= certified(each, f"_{name}")
         return velocities
 
-    def truth(self, log):
+    def truth(self, log: Log) -> Columns:
         return {name.removesuffix("_true"): column for name, column in log.truth.items()}
 
-    def residuals(self, columns, log):
+    def residuals(self, columns: Columns, log: Log) -> Columns:
         found, steps = {}, np.diff(log.t)
         for quantity, q in zip(self.quantities, self.unwrapped(log).T, strict=True):
             velocity = columns[quantity.columns[0]]

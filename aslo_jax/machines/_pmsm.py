@@ -1,6 +1,6 @@
 """`kind = "pmsm"`: the surface-mounted permanent-magnet synchronous motor."""
 
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 from ..diagnosis import Circle
 from ..plants import PMSM, FluxRelation
@@ -31,10 +31,10 @@ class PMSMDescription(motor.AbstractRoundMotor[PMSMTable]):
     machine: PMSMTable
 
     kind = "pmsm"
-    title = "Surface-mounted PMSM"
-    residual = "| |flux - L i| / magnet flux - 1 |"
-    unknowns = Unknowns(("resistance", "inductance", "magnet_flux"))
-    study = Study(
+    title: ClassVar[str] = "Surface-mounted PMSM"
+    residual: ClassVar[str] = "| |flux - L i| / magnet flux - 1 |"
+    unknowns: ClassVar[Unknowns] = Unknowns(("resistance", "inductance", "magnet_flux"))
+    study: ClassVar[Study | None] = Study(
         machine=PMSMTable,
         acting=motor.RotorTable,
         entries=("flux_alpha", "flux_beta"),
@@ -50,10 +50,10 @@ class PMSMDescription(motor.AbstractRoundMotor[PMSMTable]):
         bound=True,
     )
 
-    def plant(self):
+    def plant(self) -> Any:
         return PMSM(**self.machine.model_dump(exclude={"kind"}))
 
-    def circles(self):
+    def circles(self) -> tuple[Circle, ...]:
         machine = self.machine
         return (
             Circle("flux", machine.resistance, machine.inductance, machine.magnet_flux),

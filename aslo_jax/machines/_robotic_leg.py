@@ -1,11 +1,12 @@
 """`kind = "robotic_leg"`: the extensible leg."""
 
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 from ..plants import RoboticLeg
 from ..schema import Positive, Table, key
-from ._base import Unknowns
+from ._base import Layout, Unknowns
 from ._mechanism import AbstractMechanism, Three, layout, study
+from ._study import Study
 
 
 class RoboticLegTable(Table):
@@ -28,15 +29,15 @@ class RoboticLegDescription(AbstractMechanism[RoboticLegTable]):
     machine: RoboticLegTable
 
     kind = "robotic_leg"
-    title = "Extensible leg"
-    layout = layout(
+    title: ClassVar[str] = "Extensible leg"
+    layout: ClassVar[Layout] = layout(
         (False, True, True),
         2,
         "q1 length, q2 angle of the leg, q3 of the body; u1 along the leg, u2 between leg "
         "and body",
     )
-    unknowns = Unknowns(("m1", "m2", "damping"))
-    study = study(
+    unknowns: ClassVar[Unknowns] = Unknowns(("m1", "m2", "damping"))
+    study: ClassVar[Study | None] = study(
         RoboticLegTable,
         RoboticLeg,
         {"length": "m/s", "leg": "rad/s", "body": "rad/s"},
@@ -44,5 +45,5 @@ class RoboticLegDescription(AbstractMechanism[RoboticLegTable]):
         bound=True,
     )
 
-    def plant(self):
+    def plant(self) -> Any:
         return RoboticLeg(**self.machine.model_dump(exclude={"kind"}))

@@ -1,6 +1,6 @@
 """`kind = "stepper"`: the two-phase permanent-magnet stepper motor."""
 
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 from ..diagnosis import Circle
 from ..plants import Stepper
@@ -30,14 +30,14 @@ class StepperDescription(motor.AbstractRoundMotor[StepperTable]):
     machine: StepperTable
 
     kind = "stepper"
-    title = "Two-phase stepper"
-    residual = "| |flux - L i| / (torque constant / pole pairs) - 1 |"
-    unknowns = Unknowns(("resistance", "inductance", "torque_constant"))
+    title: ClassVar[str] = "Two-phase stepper"
+    residual: ClassVar[str] = "| |flux - L i| / (torque constant / pole pairs) - 1 |"
+    unknowns: ClassVar[Unknowns] = Unknowns(("resistance", "inductance", "torque_constant"))
 
-    def plant(self):
+    def plant(self) -> Any:
         return Stepper(**self.machine.model_dump(exclude={"kind"}))
 
-    def circles(self):
+    def circles(self) -> tuple[Circle, ...]:
         machine = self.machine
         circle = Circle(
             "flux",

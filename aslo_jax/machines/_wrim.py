@@ -15,9 +15,11 @@ from ..schema import Positive, Table, Whole, key
 from . import _keys as keys, motor, offers
 from ._base import (
     AbstractDescription,
+    Columns,
     Layout,
     Quantity,
     Rate,
+    Rates,
     Unknowns,
     algebraic,
     certified,
@@ -89,8 +91,8 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
     observer: WRIMObserver = WRIMObserver()
 
     kind = "wrim"
-    title = "Wound-rotor induction machine"
-    layout = Layout(
+    title: ClassVar[str] = "Wound-rotor induction machine"
+    layout: ClassVar[Layout] = Layout(
         Signals(
             inputs=("u_s_alpha", "u_s_beta"),
             optional=("u_r_alpha", "u_r_beta"),
@@ -105,10 +107,10 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
         ),
     )
     motion = "is it supplied, and does its flux turn in the frame of that winding?"
-    residual = "| |flux_k - L_k i_k| - L_sr |i_other| | / |flux_k|"
-    refused: ClassVar = {"pll_bandwidth": NO_ANGLE}
-    longest_interval = 5e-3
-    unknowns = Unknowns(
+    residual: ClassVar[str] = "| |flux_k - L_k i_k| - L_sr |i_other| | / |flux_k|"
+    refused: ClassVar[Mapping[str, str]] = {"pll_bandwidth": NO_ANGLE}
+    longest_interval: ClassVar[float] = 5e-3
+    unknowns: ClassVar[Unknowns] = Unknowns(
         (
             "stator_resistance",
             "rotor_resistance",
@@ -117,7 +119,7 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
             "mutual_inductance",
         )
     )
-    study = Study(
+    study: ClassVar[Study | None] = Study(
         machine=WRIMTable,
         acting=motor.RotorTable,
         entries=(*STATOR, *ROTOR),
@@ -130,10 +132,10 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
         controls=("open_loop",),
     )
 
-    def plant(self):
+    def plant(self) -> Any:
         return WRIM(**self.machine.model_dump(exclude={"kind"}))
 
-    def default_rates(self, log, stated):
+    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
         if "cutoff" in stated:
             rotor = stated.get("rotor_cutoff", stated["cutoff"])
             return {} if "rotor_cutoff" in stated else {"rotor_cutoff": Rate(rotor)}
@@ -147,7 +149,7 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
             rates["rotor_cutoff"] = Rate(cutoff_for(rotor), why(f"{rotor:.4g}"))
         return rates
 
-    def condensed(self, log):
+    def condensed(self, log: Log) -> Log:
         R_s, R_r = self.machine.stator_resistance, self.machine.rotor_resistance
         v = -np.repeat([R_s, R_r], 2) * log.y
         v[:, : log.u.shape[1]] += log.u
@@ -170,15 +172,15 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
         rotor = observer("rotor", rates["rotor_cutoff"])
         return SideBySide({"stator": stator, "rotor": rotor})
 
-    def columns(self, estimate, log):
+    def columns(self, estimate: Any, log: Log) -> Columns:
         stator, rotor = estimate["stator"], estimate["rotor"]
         fluxes = in_columns(STATOR, stator.value) | in_columns(ROTOR, rotor.value)
         return fluxes | certified(stator, "_s") | certified(rotor, "_r")
 
-    def truth(self, log):
+    def truth(self, log: Log) -> Columns:
         return log.truth
 
-    def circles(self):
+    def circles(self) -> tuple[Circle, ...]:
         machine, mutual = self.machine, self.machine.mutual_inductance
         alike: dict[str, Any] = {"radius_name": "mutual inductance", "radius_unit": "H"}
         stator = Circle(
@@ -207,7 +209,7 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
         )
         return stator, rotor
 
-    def residuals(self, columns, log):
+    def residuals(self, columns: Columns, log: Log) -> Columns:
         machine, found = self.machine, {}
         i_s, i_r = log.y[:, :2].T, log.y[:, 2:].T
         for name, names, L, own, other in (

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..logs import Log, Signals
+from ..observers import AbstractObserver
 from ..plants import AbstractRoundMachine
 from ..schema import NoLoad, NonNegative, Numbers, Positive, Table, WaveTable, key
 from . import _keys as keys
@@ -153,22 +154,22 @@ class AbstractRoundMotor(AbstractDescription[M, MotorObserver], abc.ABC, Generic
 
     observer: MotorObserver = MotorObserver()
 
-    layout = LAYOUT
+    layout: ClassVar[Layout] = LAYOUT
     motion = "does the motor turn?"
-    refused: ClassVar = {}
-    longest_interval = LONGEST_INTERVAL
+    refused: ClassVar[Mapping[str, str]] = {}
+    longest_interval: ClassVar[float] = LONGEST_INTERVAL
 
     @abc.abstractmethod
     def plant(self) -> AbstractRoundMachine:
         """The motor described by `[machine]`."""
 
-    def default_rates(self, log, stated):
+    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
         return motor_rates(log, stated)
 
-    def condensed(self, log):
+    def condensed(self, log: Log) -> Log:
         return driving(log, self._values().resistance)
 
-    def state_observer(self, rates):
+    def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         settings = self.observer
         return algebraic(
             self.plant().flux_relation(),
@@ -179,14 +180,14 @@ class AbstractRoundMotor(AbstractDescription[M, MotorObserver], abc.ABC, Generic
             gain=rates.get("gain"),
         )
 
-    def columns(self, estimate, log):
+    def columns(self, estimate: Any, log: Log) -> Columns:
         magnet = np.asarray(estimate.value) - self._values().inductance * log.y
         return motor_columns(estimate, magnet)
 
-    def truth(self, log):
+    def truth(self, log: Log) -> Columns:
         return motor_truth(log, self._values().pole_pairs)
 
-    def residuals(self, columns, log):
+    def residuals(self, columns: Columns, log: Log) -> Columns:
         magnet = flux_of(columns) - self._values().inductance * log.y
         size = np.linalg.norm(magnet, axis=1)
         return {"flux": np.abs(size / float(self.plant().magnet_flux) - 1.0)}

@@ -1,5 +1,7 @@
 """Differentiators: velocities from positions with no model, or with a full one."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -76,13 +78,13 @@ class _Free(AbstractLaw):
 
     like: Float[Array, " n"]
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> Any:
         return jnp.stack([X[1], jnp.zeros_like(X[1])]) + v
 
-    def discretise(self, h):
+    def discretise(self, h: Any) -> Any:
         return jnp.asarray(h, self.like.dtype)
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> Any:
         h, gained = coefficients, 0.5 * coefficients * (v0 + v1)
         return X + gained + jnp.stack([h * (X[1] + 0.5 * gained[1]), 0.0 * X[1]])
 

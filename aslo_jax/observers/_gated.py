@@ -1,15 +1,16 @@
 """Outliers: samples that are too far from where they should be are left out."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float
 
 from .._checks import kind, positive, real
 from .._filters import AbstractLaw
 from .._realise import Pass
+from .._typing import PyTree
 from ._base import AbstractObserver
 from ._missing import either, finite
 
@@ -31,14 +32,14 @@ class _Gate(NamedTuple):
 class _Kept(AbstractLaw):
     """A state that no equation changes."""
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> Any:
         del v
         return jax.tree.map(jnp.zeros_like, X)
 
-    def discretise(self, h):
+    def discretise(self, h: Any) -> Any:
         return h
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> Any:
         del v0, v1, coefficients
         return X
 
@@ -76,7 +77,7 @@ class Gated(AbstractObserver):
     patience: int = eqx.field(static=True, default=5)
     memory: int = eqx.field(static=True, default=200)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         kind("observer", self.observer, AbstractObserver, hint="an observer")
         positive("threshold", self.threshold)
         for name in ("patience", "memory"):
@@ -88,23 +89,27 @@ class Gated(AbstractObserver):
                 )
 
     @property
-    def signals(self):
+    def signals(self) -> Any:
         return getattr(self.observer, "signals", {})
 
-    def equations(self, F: Pass, u: PyTree, y: PyTree):
+    def equations(self, F: Pass, u: PyTree, y: PyTree) -> Any:
         zero = jnp.zeros((), jnp.result_type(float, *jax.tree.leaves(y)))
         one = zero + 1.0
         square = jax.tree.map(jnp.zeros_like, y)
         F.evolve(_Kept(), zero, _Gate(y, y, one, one, square, zero, zero), "gate")
         return self.observer(F, u, y)
 
-    def continued(self, before, y):
+    def continued(self, before: PyTree, y: PyTree) -> Any:
         return self.observer.continued(before, y)
 
-    def advance(self, state, u, y, coefficients, *, substeps=1):
+    def advance(
+        self, state: Any, u: PyTree, y: PyTree, coefficients: PyTree, *, substeps=1
+    ) -> Any:
         return self.take(state, u, y, 1.0, coefficients, substeps=substeps)
 
-    def take(self, state, u, y, dt, coefficients, *, substeps=1):
+    def take(
+        self, state: Any, u: PyTree, y: PyTree, dt: Any, coefficients: PyTree, *, substeps=1
+    ) -> Any:
         gate = state.states["gate"]
         y = self.continued(state.y, y)
         there, gate = self._passes(gate, y)

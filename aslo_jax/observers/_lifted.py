@@ -6,13 +6,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._checks import kind, optional_real, positive, real
 from .._factored import Rows, array, covariance, dot, less, plus, product, unpacked
 from .._guard import Guard
 from .._realise import Pass
 from .._relations import AbstractTerms, Quadratic
+from .._typing import PyTree
 from ._base import AbstractObserver, Estimate
 from ._lifted_filter import LiftedBelief, LiftedKalman
 from ._lifting import added, entries, quadratic, rows_of, trace
@@ -61,7 +62,7 @@ class Lifted(AbstractObserver):
     guard: Guard | None = eqx.field(default_factory=lambda: Guard(0.9))
     interval: Float[Array, ""] | None = eqx.field(converter=optional_real, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if not callable(self.relation):
             kind("relation", self.relation, hint="a relation, `relation(u, y)`")
         for name in ("output_deviation", "input_deviation"):
@@ -85,7 +86,7 @@ class Lifted(AbstractObserver):
             self.interval,
         )
 
-    def vector_field(self, t, state, u, y):
+    def vector_field(self, t: Any, state: Any, u: PyTree, y: PyTree) -> Any:
         if self.interval is None:
             raise ValueError(
                 "Argument `interval` must be given in continuous time, but got None: the "

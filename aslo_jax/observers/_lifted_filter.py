@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._factored import (
     Rows,
@@ -24,6 +24,7 @@ from .._factored import (
 )
 from .._filters import AbstractLaw
 from .._relations import AbstractTerms, Linear
+from .._typing import PyTree
 from ._lifted_belief import LiftedBelief, Lists, lists_of
 from ._lifted_flow import flow
 from ._lifting import (
@@ -110,10 +111,10 @@ class LiftedKalman(AbstractLaw):
             return [1.0 / float(jnp.finfo(dtype).eps)] * n
         return entries(jnp.broadcast_to(self.prior**2, (n,)))
 
-    def discretise(self, h):
+    def discretise(self, h: Any) -> Any:
         return h
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> Any:
         return self.stage(X, v0, v1, coefficients)[0]
 
     def stage(
@@ -151,7 +152,7 @@ class LiftedKalman(AbstractLaw):
         )
         return _packed(lists, dtype), taken
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> Any:
         rows, noise = self.at(*v)
         return flow(rows, noise, self.interval, X)
 

@@ -16,11 +16,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .._factored import Rows, dot, less, plus, product, times
 from .._relations import AbstractTerms, Linear, Quadratic, Rate
 from .._signals import check_signals
+from .._typing import PyTree
 
 Relation = Callable[[PyTree, PyTree], AbstractTerms | tuple[AbstractTerms, ...]]
 

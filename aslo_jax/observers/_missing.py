@@ -5,7 +5,9 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float
+
+from .._typing import PyTree
 
 
 class Gap(eqx.Module):
@@ -74,7 +76,7 @@ def marked(estimate: PyTree, missing: Bool[Array, ""], kind: type) -> PyTree:
     """Every estimate in a tree coasting where a sample is missing."""
     is_one = lambda e: isinstance(e, kind)
 
-    def mark(e):
+    def mark(e: Any) -> Any:
         if not is_one(e):
             return e
         # Before the first sample a model may be singular where it is evaluated.

@@ -1,6 +1,6 @@
 """A phase-locked loop: speed from a measured or estimated angle."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -47,16 +47,16 @@ class _Loop(AbstractLaw):
     def error(self, y: Array, angle: Array) -> Array:
         return wrap(y - angle) if self.wraps else y - angle
 
-    def flow(self, X, v):
+    def flow(self, X: PyTree, v: PyTree) -> Any:
         b, e = self.bandwidth, self.trust * self.error(v, X.angle)
         return _Track(X.speed + 2.0 * b * e, b * b * e, self.trust * jnp.ones_like(X.age))
 
-    def discretise(self, h):
+    def discretise(self, h: Any) -> Any:
         h = jnp.asarray(h, self.bandwidth.dtype)
         once, twice = -jnp.expm1(-self.bandwidth * h), -jnp.expm1(-2.0 * self.bandwidth * h)
         return h, twice, once * once
 
-    def advance(self, X, v0, v1, coefficients):
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> Any:
         h, alpha, beta = (jnp.asarray(c, X.angle.dtype) for c in coefficients)
         begun = X.age >= 0
         n = jnp.where(begun, X.age, 0.0) / h + 1.0

@@ -1,7 +1,7 @@
 """Angles from encoders, which wrap, as angles that do not."""
 
 from collections.abc import Mapping
-from typing import Generic
+from typing import Any, Generic
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -39,7 +39,7 @@ class Unwrapped(AbstractObserver[Est], Generic[Est]):
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Est:
         return self.observer(F, u, y)
 
-    def continued(self, before, y):
+    def continued(self, before: PyTree, y: PyTree) -> Any:
         y = _continued(before, y, jnp.asarray(self.angles))
         return self.observer.continued(before, y)
 

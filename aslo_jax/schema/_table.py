@@ -1,6 +1,6 @@
 """A table of a TOML file, and its keys."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from .._extras import missing
 
@@ -13,7 +13,9 @@ except ModuleNotFoundError as error:
 class Table(BaseModel):
     """A table of a file: unknown keys, text for a number, NaN are refused."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    model_config: ClassVar[ConfigDict] = ConfigDict(
+        extra="forbid", strict=True, frozen=True, allow_inf_nan=False
+    )
 
 
 Positive = Annotated[float, Field(gt=0)]
