@@ -63,6 +63,8 @@ class FilterBank(AbstractCompletion):
     solved in the sense of least squares.
 
     Source: paper, O7 and conclusions ("different filters"); theory, section 3.
+
+    **Raises:** `ValueError` for fewer `filters` than that, once the relation gives n.
     """
 
     filters: tuple[AbstractFilter, ...] = eqx.field(converter=_several)
@@ -86,6 +88,9 @@ class LeastSquares(AbstractCompletion):
     default the observer's own.
 
     Source: theory, section 3; Kreisselmeier 1977, doi:10.1109/TAC.1977.1101401.
+
+    **Raises:** `ValueError` where `forgetting` is not given and the observer's filter is no
+    [`LowPass`][].
     """
 
     forgetting: LowPass | None = None

@@ -69,6 +69,7 @@ def flux_from_emf(
     """The magnet flux (Wb) from a back-EMF constant Ke.
 
     - `constant`: Ke (V per `per`), a number or an array;
+    - `pole_pairs`: half the number of poles;
     - `amplitude`: `"peak"` or `"rms"` volts;
     - `between`: `"lines"` or `"phase"`, the latter from a terminal to the star point. The
       voltage over one winding of a delta is the one between lines;
@@ -93,6 +94,7 @@ def flux_from_torque(
     """The magnet flux (Wb) from a torque constant Kt.
 
     - `constant`: Kt (N m per ampere of line current), a number or an array;
+    - `pole_pairs`: half the number of poles;
     - `amplitude`: `"peak"` or `"rms"` amperes.
     """
     one_of("amplitude", amplitude, Amplitude)
@@ -105,6 +107,7 @@ def star_equivalent(
 ) -> Quantity:
     """The resistance (ohm) or inductance (H) of a phase of the equivalent star.
 
+    - `value` (ohm or H): what the datasheet says, a number or an array;
     - `between`: `"lines"`, as measured at two terminals, or `"phase"`, of one winding;
     - `connection`: `"star"` or `"delta"`. It does not matter between lines: half the value
       is right for both, an inductance between lines including the coupling of phases.
@@ -125,8 +128,12 @@ def emf_from_flux(
     per: Per,
     speed: Speed,
 ) -> Quantity:
-    """The back-EMF constant that a datasheet would print for a magnet flux (Wb), in a
-    convention of [`flux_from_emf`][]."""
+    """The back-EMF constant (V per `per`) that a datasheet would print for a magnet `flux`
+    (Wb), a number or an array.
+
+    - `pole_pairs`, `amplitude`, `between`, `per`, `speed`: the convention, as in
+      [`flux_from_emf`][].
+    """
     one = flux_from_emf(
         1.0,
         pole_pairs=pole_pairs,
@@ -139,8 +146,11 @@ def emf_from_flux(
 
 
 def torque_from_flux(flux: Quantity, *, pole_pairs: int, amplitude: Amplitude) -> Quantity:
-    """The torque constant that a datasheet would print for a magnet flux (Wb), in a
-    convention of [`flux_from_torque`][]."""
+    """The torque constant (N m/A) that a datasheet would print for a magnet `flux` (Wb), a
+    number or an array.
+
+    - `pole_pairs`, `amplitude`: the convention, as in [`flux_from_torque`][].
+    """
     return flux / flux_from_torque(1.0, pole_pairs=pole_pairs, amplitude=amplitude)
 
 
@@ -152,6 +162,7 @@ def agreed_flux(
 
     Returns the one from the back-EMF, which is measured without current and so without
     saturation; torque constants at the rated current are often a few percent lower.
+    `pole_pairs`, half the number of poles, serve to explain a ratio.
 
     **Raises:** `ValueError` where they differ by more, and names the convention that would
     explain their ratio.

@@ -23,9 +23,10 @@ __all__ = ["Carry", "Experiment", "Record"]
 
 
 class Record(Module, Generic[Est]):
-    """What an experiment records at `t` (s): the plant's state `x` and its `hidden` part,
-    the measurement `y` and the input `u` that the observers are given (held from `t` on),
-    and the `estimates` by observer name."""
+    """What an experiment records at the N instants `t` (s), shape `(N,)`: the plant's state
+    `x` and its `hidden` part, shape `(N, n)`, the measurement `y` and the input `u` that
+    the observers are given (held from `t` on), and the `estimates` by observer name.
+    """
 
     t: Float[Array, "*N"]
     x: PyTree
@@ -63,6 +64,10 @@ class Experiment(Module, Generic[Est]):
     - `plant_steps`: Runge-Kutta steps of order 4 in each interval.
 
     It is one pytree: `jax.vmap`, `jax.grad` and `eqx.tree_at` reach every parameter in it.
+
+    **Raises:** `ValueError` for an `interval` that is not positive, for `plant_steps` below
+    1, for what is no plant, controller or observer, and for random disturbances that share
+    a key and a stream.
     """
 
     plant: AbstractPlant

@@ -135,6 +135,8 @@ class LowPass(AbstractFilter):
     Its state is the filtered signal itself.
 
     Source: theory, sections 2 and 8; paper, eq. (fil).
+
+    **Raises:** `ValueError` for a `rate` that is not one positive number.
     """
 
     rate: Float[Array, ""] = eqx.field(converter=real)
@@ -229,7 +231,12 @@ class Switched(AbstractLaw):
 class LinearFilter(AbstractFilter):
     """Any proper stable filter `F(s) = D + C (sI - A)^-1 B` of order `k`.
 
+    - `A`, shape `(k, k)`, in 1/s, with eigenvalues in the left half-plane;
+    - `B`, shape `(k,)`; `C`, shape `(k,)`; `D`, a number.
+
     `D=None` declares it strictly proper, which a rate relation requires (it uses `pF`).
+
+    **Raises:** `ValueError` for shapes that do not fit, and for an `A` that is not stable.
     """
 
     A: Float[Array, "k k"] = eqx.field(converter=real)
@@ -311,7 +318,7 @@ def sinusoid_rejecting(
 ) -> LinearFilter:
     """A low-pass filter with an internal model of a sinusoid,
     `rate/(s + rate) (s^2 + w0^2)/(s^2 + 2 zeta w0 s + w0^2)`; `rate` and `frequency` w0
-    in rad/s.
+    in rad/s, `damping` zeta without a unit.
 
     Zeros at +-j w0 reject a sinusoid of that frequency on the *sensor* (paper,
     conclusions; theory, section 2). `F[1]` of this form never crosses zero.

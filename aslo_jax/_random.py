@@ -44,7 +44,9 @@ def _rotate(x: Array, by: int) -> Array:
 
 
 def threefry(key: Key, c0: UInt32[Array, "..."], c1: UInt32[Array, "..."]):
-    """Two words of 32 random bits for each pair of counters."""
+    """Two words of 32 random bits for each pair of the counters `c0` and `c1`, both of one
+    shape, from the two words of a `key`.
+    """
     k0, k1 = key[0], key[1]
     ks = (k0, k1, k0 ^ k1 ^ np.uint32(0x1BD11BDA))
     x0, x1 = c0 + ks[0], c1 + ks[1]
@@ -58,7 +60,10 @@ def threefry(key: Key, c0: UInt32[Array, "..."], c1: UInt32[Array, "..."]):
 
 
 def key(seed: int | Int[Array, ""]) -> Key:
-    """The key of a study, from a non-negative integer below 2**64."""
+    """The key of a study, from a `seed`, a non-negative integer below 2**64.
+
+    **Raises:** `ValueError` for an integer out of that range.
+    """
     if isinstance(seed, int):
         if not 0 <= seed < 2**64:
             raise ValueError(
@@ -69,10 +74,11 @@ def key(seed: int | Int[Array, ""]) -> Key:
 
 
 def as_key(key: Any) -> UInt32[Array, "*batch 2"]:
-    """The two words of a key of JAX or of this module; what is no key is refused.
+    """The two words of a `key` of JAX or of this module; what is no key is refused.
 
     **Raises:** `ValueError` for an integer, which is a seed, and for keys of another
-    generator than JAX's default one."""
+    generator than JAX's default one.
+    """
     dtype = getattr(key, "dtype", None)
     if dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key):
         key = jax.random.key_data(key)
@@ -112,7 +118,9 @@ def seed_of(key: KeyLike | None) -> int:
 
 
 def fold(key: Key, sample: int | Int[Array, ""]) -> Key:
-    """The key of one sample of a study; map it over `jnp.arange(samples)`."""
+    """The key of one `sample`, counted from 0, of a study with this `key`; map it over
+    `jnp.arange(samples)`.
+    """
     sample = jnp.asarray(sample).astype(jnp.uint32)
     return jnp.stack(threefry(key, sample, jnp.zeros_like(sample)))
 
@@ -144,7 +152,12 @@ def uniform(
     shape: tuple[int, ...] = (),
     dtype: DTypeLike = float,
 ) -> Float[Array, "..."]:
-    """Uniform numbers in (0, 1), for time `index` and `stream`."""
+    """Uniform numbers in (0, 1), for time `index` and `stream`.
+
+    - `key`: of a study or a sample; `index`, `stream`: the counters, so that other ones
+      give independent numbers;
+    - `shape`, `dtype`: of what is returned, by default one number in JAX's precision.
+    """
     return _drawn(key, index, stream, shape, dtype, lambda a, b: (a, b))
 
 
@@ -155,7 +168,12 @@ def normal(
     shape: tuple[int, ...] = (),
     dtype: DTypeLike = float,
 ) -> Float[Array, "..."]:
-    """Standard normal numbers, for time `index` and `stream`, by Box and Muller."""
+    """Standard normal numbers, for time `index` and `stream`, by Box and Muller.
+
+    - `key`: of a study or a sample; `index`, `stream`: the counters, so that other ones
+      give independent numbers;
+    - `shape`, `dtype`: of what is returned, by default one number in JAX's precision.
+    """
     return _drawn(key, index, stream, shape, dtype, _box_muller)
 
 

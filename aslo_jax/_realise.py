@@ -53,7 +53,10 @@ def _at(drive: Drive, X: PyTree) -> PyTree:
 
 
 class AbstractRealisation(abc.ABC):
-    """What one pass over the equations does with each state. Lives for one pass only."""
+    """What one pass over the equations does with each state. Lives for one pass only.
+
+    **Raises:** `ValueError` where two states of a pass have one name.
+    """
 
     def __init__(self) -> None:
         self._names: set[str] = set()
@@ -122,7 +125,7 @@ class Start(AbstractRealisation):
 
 
 class Flow(AbstractRealisation):
-    """Reads the states and records every derivative and every drive."""
+    """Reads the `states`, by name, and records every derivative and every drive."""
 
     def __init__(self, states: States) -> None:
         super().__init__()
@@ -151,6 +154,9 @@ class Flow(AbstractRealisation):
 
 class Advance(AbstractRealisation):
     """Advances the states over an interval, evaluated at its right end, inner ones first.
+
+    - `states`: at the left end, by name;
+    - `coefficients`: of each law for the interval, as [`Start.discretise`][] gives them.
 
     `drives` are those of the left end. Afterwards `advanced` holds the new states and
     `drives` those of the right end, which are the left ones of an adjacent interval with
@@ -200,8 +206,16 @@ class Pass:
     state, `F.loop(law, start)` one that other signals feed back to. `F.using(filter)`
     binds a filter; `F.scope(name)` nests the names of states.
 
+    - `realisation`: what is done with each state, a [`Start`][], [`Flow`][] or
+      [`Advance`][]; `scope`: what the names of states begin with;
+    - `interval`: what the pass knows of samples that are missing, `None` where none can
+      be; `doubted`, shape `()`: whether its measurements are not to be trusted.
+
     With `start="exact"` every identity of the library holds for all t > 0; with
     `start="paper"` F[1] is taken as settled and every filter starts from zero, as printed.
+
+    **Raises:** `ValueError` where `F` is called without a filter, for `F.p` with a filter
+    that is not strictly proper, and for two states of one name.
     """
 
     def __init__(

@@ -35,7 +35,14 @@ __all__ = [
 
 
 class Row(Module):
-    """One row `r'x = b`, or a batch of them, with `x' = A x + z`."""
+    """One row `r'x = b`, or a batch of them, with `x' = A x + z`.
+
+    - `r`, shape `(..., n)`; `b`, shape `(...)`; `z`, shape `(n,)`; `A`, shape `(n, n)`, or
+      `None` for zero;
+    - `scale`, shape `(n,)`: what `r` is measured against, entry by entry; a small `r`
+      beside it is rounding and noise;
+    - `constant`: whether `r` is a constant once its filters have settled.
+    """
 
     r: Float[Array, "*rows n"]
     b: Float[Array, "*rows"]
@@ -50,7 +57,11 @@ class Row(Module):
 
 
 class AbstractTerms(Module):
-    """The terms of a relation at an instant."""
+    """The terms of a relation at an instant; `x' = A x + z` with `z` of shape `(n,)`, in
+    units of x per second, and `A` of shape `(n, n)`, in 1/s, or `None` for zero.
+
+    **Raises:** `ValueError` where the shapes of terms do not fit.
+    """
 
     z: eqx.AbstractVar[Float[Array, " n"]]
     A: eqx.AbstractVar[Float[Array, "n n"] | None]
@@ -82,7 +93,11 @@ class AbstractTerms(Module):
 
 
 class Linear(AbstractTerms):
-    """`c'x = d`, with `x' = A x + z`: already a row (theory, section 2)."""
+    """`c'x = d`, with `x' = A x + z`: already a row (theory, section 2).
+
+    - `c`, shape `(n,)`; `d`, shape `()`; `z`, shape `(n,)`; `A`, shape `(n, n)`, zero by
+      default.
+    """
 
     c: Float[Array, " n"]
     d: Float[Array, ""]
@@ -96,6 +111,9 @@ class Linear(AbstractTerms):
 
 class Rate(AbstractTerms):
     """`c'x = d + s'`, with `x' = A x + z` and `s` measured but not its derivative.
+
+    - `c`, shape `(n,)`; `s` and `d`, shape `()`; `z`, shape `(n,)`; `A`, shape `(n, n)`;
+      `d` and `A` are zero by default.
 
     `b = F[d] + pF[s] + (swapping term)`, `r = F[c]` (theory, section 2; Prop. 1 with
     c = 1, s = y, z = u). `constant=True` declares that c and A do not vary, so that the
@@ -124,6 +142,8 @@ class Rate(AbstractTerms):
 
 class Quadratic(AbstractTerms):
     """`1/2 x'Q x = c'x + d`, with `x' = z` and Q constant and symmetric.
+
+    - `Q`, shape `(n, n)` or `()`; `c`, shape `(n,)`; `d`, shape `()`; `z`, shape `(n,)`.
 
     The relation times F[1], less the filtered relation, has no quadratic term left:
     `r = C K - (C H) c`, `b = (C H) d + C W` with `H' = A H + B`,
@@ -222,7 +242,7 @@ def settled(rate: Callable[[Array], Array], like: Array) -> Array:
 
 
 def swap(F: Pass, row: Row) -> Row:
-    """A further row from a row, or from a batch of them, by the Swapping Lemma.
+    """A further row from a `row`, or from a batch of them, by the Swapping Lemma.
 
     `F[r'x] = F[b]` becomes `(C X + D r')x = C E + D b` with `X' = A_f X + B r' - X A` and
     `E' = A_f E + X z + B b` (theory, section 2, general filter; paper, App. A).

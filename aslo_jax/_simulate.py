@@ -24,7 +24,8 @@ from .plants import AbstractPlant
 class Simulation(Module, Generic[Est]):
     """What [`simulate`][] returns; every leaf has a leading axis of the `N` instants `t`.
 
-    - `t` (s); `u`, the input that the observers saw; `y`, the measurement they saw;
+    - `t` (s), shape `(N,)`; `u`, the input that the observers saw; `y`, the measurement
+      they saw;
     - `x`, the state of the plant; `hidden`, its unmeasured part, shape `(N, n)`;
     - `estimates`: by observer name; `states`: every inner state of every observer, by
       observer name and state name.
@@ -219,7 +220,8 @@ def simulate(
 
     - `controller`: a controller, or a function of time (s) for an open loop;
     - `observers`: by name;
-    - `t0`, `t1`: the span (s); `ts`: the instants to save, by default 1001 even ones;
+    - `t0`, `t1`: the span (s); `ts`: the instants to save, shape `(N,)`, by default 1001
+      even ones;
     - `initial`: the state of the plant at `t0`, by default `plant.initial()`;
     - `actuator`: between the controller's output and the plant, unseen by the observers;
       `sensor`: between the plant's output and everyone; `input_sensor`: between the

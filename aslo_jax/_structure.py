@@ -113,7 +113,9 @@ INSTEAD = (
 def decay_rate(
     system: AbstractMechanicalSystem, coordinate: int, region: Region | None = None
 ) -> tuple[Float[np.ndarray, "points n"], Float[np.ndarray, " points"]]:
-    """Points of `region` and, at each, friction over inertia of a coordinate (1/s)."""
+    """Points of `region`, shape `(N, n)`, and at each, shape `(N,)`, friction over inertia
+    (1/s) of a `coordinate`, counted from 0, of a mechanical `system`.
+    """
     q, M, _, R, _ = _look(system, region)
     return q, R[:, coordinate, coordinate] / M[:, coordinate, coordinate]
 

@@ -40,7 +40,9 @@ class CurrentState(Module):
 
 
 def rotate(angle: Float[Array, ""], x: Float[Array, " 2"]) -> Float[Array, " 2"]:
-    """x turned by `angle` (rad): from the rotor's frame to the stationary one."""
+    """`x`, shape `(2,)`, turned by `angle` (rad): from the rotor's frame to the stationary
+    one.
+    """
     c, s = jnp.cos(angle), jnp.sin(angle)
     return jnp.stack([c * x[0] - s * x[1], s * x[0] + c * x[1]])
 

@@ -18,8 +18,9 @@ __all__ = ["BallBeamTracking", "MechanicalFeedback", "Tracking"]
 
 
 class MechanicalFeedback(Module):
-    """What a tracking controller is fed: the coordinates and their velocities, measured or
-    estimated, each of shape `(n,)`."""
+    """What a tracking controller is fed: `position`, the coordinates, and `velocity`,
+    measured or estimated, each of shape `(n,)`.
+    """
 
     position: Float[Array, " n"]
     velocity: Float[Array, " n"]
@@ -38,6 +39,7 @@ class Tracking(AbstractController):
     """Partial feedback linearisation: as many coordinates as there are inputs follow
     `reference`, `e'' + 2 w e' + w^2 e = 0`, whatever the others do.
 
+    - `system`: the plant, with the parameters that the controller believes;
     - `reference(t)`: the wanted coordinates at t (s), shape `(m,)`, twice differentiable;
     - `tracked`: which coordinates they are, counted from 0; their accelerations must be
       independent in the inputs;
@@ -92,6 +94,7 @@ class BallBeamTracking(AbstractController):
     centrifugal force accelerate the ball as wanted, `e'' + 2 w e' + w^2 e = 0`, within
     `tilt`.
 
+    - `system`: the plant, with the parameters that the controller believes;
     - `bandwidth` w (rad/s) of the ball, `beam_bandwidth` (rad/s) of the beam, which should
       be several times faster;
     - `tilt` (rad): the largest angle asked for.

@@ -18,8 +18,9 @@ def calibrate_machine(
     parameters: Sequence[str] = (),
     **settings: Any,
 ) -> Calibration:
-    """[`calibrate`][] for a described machine.
+    """[`calibrate`][] for a described `machine`.
 
+    - `log`: of the machine, in SI units;
     - `parameters`: keys of `[machine]`, by default all that its relation depends on;
     - `settings`: of [`calibrate`][].
 
@@ -56,8 +57,9 @@ def calibrate_machine(
 
 
 def values_of(machine: AbstractDescription[Any, Any], found: Calibration) -> dict[str, Any]:
-    """The keys of `[machine]` that a calibration changes, with their new values: numbers,
-    or lists of them. A value that is not determined stays."""
+    """The keys of `[machine]` that a calibration `found` to change, with their new values:
+    numbers, or lists of them. A value that is not determined stays.
+    """
     values: dict[str, Any] = {}
     for name in found.after:
         key, _, entry = name.partition("[")
@@ -75,9 +77,11 @@ def values_of(machine: AbstractDescription[Any, Any], found: Calibration) -> dic
 
 
 def calibrated_text(text: str, values: Mapping[str, Any]) -> str:
-    """A description with new `values` in `[machine]`; all else, comments too, as it was.
+    """A description, the `text` of its file, with new `values` in `[machine]`; all else,
+    comments too, as it was.
 
-    **Raises:** [`MachineError`][] where a value is not on one line of its own."""
+    **Raises:** [`MachineError`][] where a value is not on one line of its own.
+    """
     try:
         return rewritten(text, {"machine": values})
     except ValueError as error:

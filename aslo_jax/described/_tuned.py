@@ -91,6 +91,7 @@ def calibrate_study(
 ) -> tuple[Calibration, dict[str, dict[str, Any]]]:
     """Calibrate the machine of a study's file from a log without ground truth.
 
+    - `content`: of the file, table by table; `log`: of the machine;
     - `settings`: of [`calibrate_machine`][].
 
     Returns the calibration, and new values by table and key: those of `machine` that the
@@ -113,7 +114,7 @@ def calibrate_study(
 
 
 def machine_of(content: Mapping[str, Any]) -> AbstractDescription:
-    """The machine of a study's file without what acts on it there, as
+    """The machine of a study's file, its `content`, without what acts on it there, as
     [`aslo_jax.machines.read_machine`][] gives it.
 
     **Raises:** [`MachineError`][] for a kind of machine that has no logs.
@@ -132,7 +133,7 @@ def _rounded(x: Any) -> Any:
 def changed(
     content: Mapping[str, Any], values: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """The content of a file with new values, by table and key."""
+    """The `content` of a file with new `values`, by table and key."""
     new = copy.deepcopy(dict(content))
     for table, items in values.items():
         table_of(new, table).update(items)

@@ -55,7 +55,9 @@ class Diagnosing:
 
 
 def diagnose(log: Log, circles: Sequence[Circle]) -> Diagnosis:
-    """The diagnosis of a log in memory."""
+    """The diagnosis of a `log` in memory, by its time and by the `circles` on which its
+    machine's residuals lie.
+    """
     interval = float(np.median(np.diff(log.t)))
     diagnosing = Diagnosing(circles, log.t.size, interval)
     diagnosing.add(log)

@@ -10,8 +10,9 @@ from ._rows import Rows
 
 
 def marked(log: Log, rows: Rows) -> Log:
-    """A log with NaN in place of outputs and inputs that cannot be right, which makes them
-    missing ones."""
+    """A `log` with NaN in place of outputs and inputs that cannot be right, those of
+    `rows`, which makes them missing ones.
+    """
     y, u = log.y.copy(), log.u.copy()
     y[rows.outliers] = np.nan
     u[rows.inputs] = np.nan
@@ -19,9 +20,10 @@ def marked(log: Log, rows: Rows) -> Log:
 
 
 def repaired(log: Log, rows: Rows) -> Log:
-    """A log with what its neighbours say in place of outputs and inputs that cannot be
-    right. Over a gap the input is the mean of what a straight line from before to after
-    gives to the rows that are missing."""
+    """A `log` with what its neighbours say in place of outputs and inputs that cannot be
+    right, those of `rows`. Over a gap the input is the mean of what a straight line from
+    before to after gives to the rows that are missing.
+    """
     y = _bridged(log.y, rows.outliers)
     u = _bridged(log.u, rows.inputs)
     after = np.minimum(rows.gaps + 1, u.shape[0] - 1)
@@ -32,8 +34,9 @@ def repaired(log: Log, rows: Rows) -> Log:
 
 
 def touched(rows: Rows, count: int) -> Bool[np.ndarray, " N"]:
-    """Which rows of `count` have an output that is made up, or end an interval in which the
-    input is."""
+    """Which rows of `count`, shape `(count,)`, have by `rows` an output that is made up, or
+    end an interval in which the input is.
+    """
     found = np.zeros(count, bool)
     for after, named in ((0, rows.outliers), (1, rows.inputs), (1, rows.gaps)):
         found[np.minimum(named + after, count - 1)] = True

@@ -19,11 +19,14 @@ NONE = np.zeros(0, int)
 
 @dataclasses.dataclass(frozen=True)
 class Rows:
-    """Rows of a log that cannot be right, by their number, the first being 0.
+    """Rows of a log that cannot be right, by their number, the first being 0; each an array
+    of whole numbers.
 
-    - `outliers`: whose output is far off; `inputs`: whose input is;
-    - `lost`: after which rows are missing although time goes on evenly;
-    - `gaps`: after which rows are missing, as time tells, and `missing`: how many, each.
+    - `outliers`, shape `(a,)`: whose output is far off; `inputs`, shape `(b,)`: whose input
+      is;
+    - `lost`, shape `(c,)`: after which rows are missing although time goes on evenly;
+    - `gaps`, shape `(d,)`: after which rows are missing, as time tells, and `missing`,
+      shape `(d,)`: how many, each.
     """
 
     outliers: Int[np.ndarray, " a"]

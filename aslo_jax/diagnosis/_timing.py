@@ -12,10 +12,12 @@ MOST = 8  # rows that an input may be moved by
 
 
 def shift_of(voltage: str) -> float:
-    """The rows by which inputs are moved: 0 for `held`, 1/2 for `instant`, N for
-    `delayed=N`, which may be negative, and whole or half.
+    """The rows by which inputs are moved for the word `voltage`, which says when they hold:
+    0 for `held`, 1/2 for `instant`, N for `delayed=N`, which may be negative, and whole or
+    half.
 
-    **Raises:** `ValueError` for anything else."""
+    **Raises:** `ValueError` for anything else.
+    """
     name, equals, number = voltage.partition("=")
     if voltage in ("held", "instant"):
         return {"held": 0.0, "instant": 0.5}[voltage]
@@ -46,7 +48,7 @@ def moved(u: Complex[np.ndarray, " N"], shift: float) -> Complex[np.ndarray, " N
 
 
 def retimed(log: Log, shift: float, pairs: Sequence[tuple[int, int]] = ((0, 1),)) -> Log:
-    """A log whose inputs are moved: row k gets those of row `k + shift`.
+    """A `log` whose inputs are moved: row k gets those of row `k + shift`.
 
     - `shift`: how late the inputs are (rows); 1/2 where they are those of the instants of
       their rows; at the ends of the log the first and the last input are repeated;
@@ -58,8 +60,9 @@ def retimed(log: Log, shift: float, pairs: Sequence[tuple[int, int]] = ((0, 1),)
 def retimed_pieces(
     pieces: Iterable[Log], shift: float, pairs: Sequence[tuple[int, int]]
 ) -> Iterator[Log]:
-    """[`retimed`][] of a log that comes piece by piece, each beginning with the last row of
-    the one before."""
+    """[`retimed`][], with its `shift` (rows) and `pairs`, of a log that comes in `pieces`,
+    each beginning with the last row of the one before.
+    """
     if not shift:
         yield from pieces
         return

@@ -18,8 +18,10 @@ __all__ = [
 
 
 class DisturbanceState(Module):
-    """The state of a disturbance, a value: what is integrated beside the plant, and what is
-    updated at the samples. Either is empty, `None`, where there is nothing of the kind."""
+    """The state of a disturbance, a value: `continuous`, what is integrated beside the
+    plant, and `sampled`, what is updated at the samples. Either is empty, `None`, where
+    there is nothing of the kind.
+    """
 
     continuous: PyTree = None
     sampled: PyTree = None

@@ -49,8 +49,9 @@ class RandomWalk(AbstractSampled):
     """Adds a random walk from zero, each step of it `deviation` times a standard normal
     number, one step from a sample to the next.
 
-    A walk of intensity W (unit squared per second) has `deviation = sqrt(W * interval)`.
-    Numbers are keyed by `key` and counted by the sample and `stream`.
+    A walk of intensity W (unit squared per second) has `deviation = sqrt(W * interval)`, in
+    the unit of the signal, shape `()` or that of the signal. Numbers are keyed by `key` and
+    counted by the sample and `stream`.
     """
 
     deviation: Float[Array, "*signal"] = eqx.field(converter=real)

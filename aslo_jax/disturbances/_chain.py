@@ -17,6 +17,8 @@ class Chain(AbstractDisturbance):
 
     One with a state that is integrated, as [`ParasiticLag`][] has, comes after those that
     are updated at the samples, as [`Delay`][] is: these know their signal at samples only.
+
+    **Raises:** `ValueError` without `parts`, and for parts in an order that cannot be.
     """
 
     parts: tuple[AbstractDisturbance, ...]

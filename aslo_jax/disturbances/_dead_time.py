@@ -36,6 +36,8 @@ class DeadTime(AbstractMemoryless):
       default the first two.
 
     Source: Jeong and Park 1991, doi:10.1109/41.103442.
+
+    **Raises:** `ValueError` where the plant's output is not at hand, which has the current.
     """
 
     voltage: Float[Array, ""] = eqx.field(converter=real)

@@ -27,6 +27,9 @@ class Delay(AbstractSampled):
     - `longest`: how many samples are kept, at least 1; by default those that `delay` needs.
 
     Before the first sample the signal is taken to have been what it is there.
+
+    **Raises:** `ValueError` for a `delay` out of its range, and for a traced one without
+    `longest`.
     """
 
     delay: Float[Array, ""] = eqx.field(converter=real)

@@ -19,6 +19,8 @@ class MissingSamples(AbstractSampled):
 
     Whether a sample is lost depends on `key`, the sample and `stream` only. A derivative
     with respect to `probability` is zero, as it is wherever there is one.
+
+    **Raises:** `ValueError` for a `probability` out of [0, 1].
     """
 
     probability: Float[Array, ""] = eqx.field(converter=real)

@@ -18,8 +18,9 @@ class SampledNoise(AbstractDisturbance):
     number, renewed every `interval` seconds.
 
     White noise of two-sided intensity W (unit squared times second) has
-    `deviation = sqrt(W / interval)`. Numbers are keyed by `key` and counted by the time
-    index and `stream`, so two noises of one study need different streams.
+    `deviation = sqrt(W / interval)`, in the unit of the signal, shape `()` or that of the
+    signal. Numbers are keyed by `key` and counted by the time index and `stream`, so two
+    noises of one study need different streams.
     """
 
     deviation: Float[Array, "*signal"] = eqx.field(converter=real)

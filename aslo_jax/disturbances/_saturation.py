@@ -14,7 +14,10 @@ __all__ = ["Saturation"]
 
 class Saturation(AbstractMemoryless):
     """Clips each entry to [`lower`, `upper`], in the units of the signal: scalars, or of
-    its shape."""
+    its shape.
+
+    **Raises:** `ValueError` where `lower` is not below `upper`.
+    """
 
     lower: Float[Array, "*signal"] = eqx.field(converter=real)
     upper: Float[Array, "*signal"] = eqx.field(converter=real)

@@ -30,6 +30,9 @@ class Frame:
       electrical, but an angle whose name says that it is mechanical is refused then;
     - `power_invariant`: whether alpha, beta, d and q are sqrt(3/2) times the
       amplitude-invariant ones.
+
+    **Raises:** [`LogError`][] for another name or kind of angle, for settings that do not
+    belong to the frame or to the signals, and for an angle that may be of either kind.
     """
 
     name: str = "alpha-beta"

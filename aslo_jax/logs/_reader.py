@@ -76,8 +76,10 @@ class Log:
 
 class LogReader:
     """A log that is read, checked and given piece by piece, so that it need not fit into
-    memory. Arguments and refusals are those of [`read_log`][]; a [`Source`][] may stand for
-    a path.
+    memory. A [`Source`][] may stand for a path.
+
+    - `path`, `signals`, `columns`, `max_gap` (s), `frame`, `missing`, `most_missing`: as in
+      [`read_log`][], and so is the argument `truth`.
 
     - `t`: every sampling instant (s), shape `(N,)`; `interval`: the median one (s);
     - `optional`: whether the file has the optional inputs;
@@ -86,6 +88,8 @@ class LogReader:
       a line each, where that is not nothing.
 
     `watch(log)` is told every batch of the first reading, before time has been checked.
+
+    **Raises:** as [`read_log`][].
     """
 
     t: Float[np.ndarray, " N"]

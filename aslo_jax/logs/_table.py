@@ -66,7 +66,10 @@ def write_table(path: Path | str, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def check_suffix(path: Path | str) -> Path:
-    """Refuse a table whose suffix is not that of a known format."""
+    """The `path` of a table, refused where its suffix is not that of a known format.
+
+    **Raises:** [`LogError`][].
+    """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise LogError(

@@ -50,8 +50,9 @@ class Quantity:
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """The columns in, and what is estimated from them, in the order of the table of
-    estimates."""
+    """The columns in, `signals`, and what is estimated from them, `quantities`, in the
+    order of the table of estimates.
+    """
 
     signals: Signals
     quantities: tuple[Quantity, ...]
@@ -62,7 +63,9 @@ class Layout:
 
 
 class Rate(NamedTuple):
-    """A rate of an observer (rad/s), and where it comes from if not from the user."""
+    """The `value` of a rate of an observer (rad/s), and the `reason` for it, a clause,
+    empty where the user gave it.
+    """
 
     value: float
     reason: str = ""
@@ -106,6 +109,10 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
     - `memory`: on how many rows before it a row of the residuals depends;
     - `unknowns`: what a calibration may find; `study`: how the kind takes part in studies,
       `None` where it does not.
+
+    **Raises:** [`MachineError`][] for a key that its kind refuses, and where a rate is to
+    be chosen for a log that is not given; `TypeError` for a kind that is defined without
+    `kind` or `threshold`.
     """
 
     machine: M

@@ -14,9 +14,11 @@ NOISE = 0.1  # von Neumann's ratio from which on a coordinate is taken for noise
 
 def typical_frequency(t: Float[np.ndarray, " N"], q: Float[np.ndarray, "N n"]) -> float:
     """The typical frequency (rad/s) of the coordinate that moves fastest; zero at rest.
+    Positions `q`, shape `(N, n)`, at `t` (s), shape `(N,)`.
 
     It is the rms velocity over the rms position, both about steady motion. Against noise,
-    positions are averaged over blocks in which they move by about half a radian."""
+    positions are averaged over blocks in which they move by about half a radian.
+    """
     return max((_frequency(t, column) for column in q.T), default=0.0)
 
 
@@ -43,8 +45,10 @@ def _frequency(t: Float[np.ndarray, " N"], q: Float[np.ndarray, " N"]) -> float:
 def cutoff_for_positions(
     t: Float[np.ndarray, " N"], q: Float[np.ndarray, "N n"]
 ) -> tuple[float, str]:
-    """A cutoff (rad/s) for positions, angles unwrapped, and why: ten times their typical
-    frequency, at least 5 rad/s and at most a tenth of the sampling rate."""
+    """A cutoff (rad/s) for positions `q`, shape `(N, n)`, angles unwrapped, at `t` (s),
+    shape `(N,)`, and why: ten times their typical frequency, at least 5 rad/s and at most a
+    tenth of the sampling rate.
+    """
     frequency = typical_frequency(t, q)
     fastest = PER_SAMPLE / float(np.median(np.diff(t)))
     why = f"ten times {frequency:.4g} rad/s, the typical frequency of the positions"

@@ -69,7 +69,11 @@ class InteriorPMSMObserver(Table):
 
 class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMSMObserver]):
     """An interior PMSM: flux, angle and speed from stator voltages and currents. The angle
-    is that of the active flux, `flux - Lq i`."""
+    is that of the active flux, `flux - Lq i`.
+
+    **Raises:** `ValueError` where the default saliency has no magnet flux, or the start
+    `"paper"`; [`MachineError`][] for a plant without a magnet flux.
+    """
 
     machine: InteriorPMSMTable
     observer: InteriorPMSMObserver = InteriorPMSMObserver()

@@ -28,7 +28,10 @@ class MechanicalTable(Table):
 
 class MechanicalDescription(AbstractMechanism[MechanicalTable]):
     """A mechanical system of one's own. Reading its description runs the module that
-    `system` names, which may lie beside the TOML file."""
+    `system` names, which may lie beside the TOML file.
+
+    **Raises:** `ValueError` where the module cannot be run, or gives no mechanical system.
+    """
 
     machine: MechanicalTable
     _system: Any = PrivateAttr(default=None)

@@ -67,7 +67,9 @@ class AngleError(AbstractComposed):
 
 
 class PeakAngleError(AbstractComposed):
-    """As [`AngleError`][], but the largest difference in magnitude."""
+    """As [`AngleError`][], with its `estimate`, `truth` and `after` (s), but the largest
+    difference in magnitude.
+    """
 
     estimate: Callable[[Record], Float[Array, ""]]
     truth: Callable[[Record], Float[Array, ""]]

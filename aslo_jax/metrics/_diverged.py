@@ -18,6 +18,8 @@ class Diverged(AbstractMetric):
     over a batch is the share that diverged.
 
     The bound is infinite by default; an error whose square overflows is then not finite.
+
+    **Raises:** `ValueError` for a `bound` that is not positive.
     """
 
     observer: str = eqx.field(static=True)

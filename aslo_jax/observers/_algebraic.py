@@ -33,6 +33,9 @@ class AlgebraicObserver(AbstractObserver):
 
     Source: Bobtsov, Romero, Ortega, Pyrkin, "An Algebraic State Observer for a Class of
     Physical Systems", Props 1 and 2; theory, sections 1 to 3.
+
+    **Raises:** `ValueError` for an `initial` whose shape is not that of x, and what the
+    relation, filter and completion refuse.
     """
 
     relation: Callable[[PyTree, PyTree], AbstractTerms]

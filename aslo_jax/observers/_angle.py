@@ -28,8 +28,9 @@ __all__ = [
 
 
 def electrical_angle(magnet: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
-    """The electrical angle in [-pi, pi] (rad) of the magnet's flux `flux - L i` (Wb); zero,
-    with finite gradients, where that vanishes."""
+    """The electrical angle in [-pi, pi] (rad) of the magnet's flux `magnet`, `flux - L i`
+    (Wb), shape `(..., 2)`; zero, with finite gradients, where that vanishes.
+    """
     a, b = magnet[..., 0], magnet[..., 1]
     return jnp.arctan2(b, jnp.where((a == 0) & (b == 0), 1.0, a))
 
@@ -40,7 +41,8 @@ def rotor_angle(
     inductance: Float[Array, ""] | float,
     pole_pairs: int,
 ) -> Float[Array, "*batch"]:
-    """The mechanical angle (rad) from the stator flux (Wb), known up to its period
+    """The mechanical angle (rad) from the stator `flux` (Wb), shape `(..., 2)`, the
+    `current` (A), shape `(..., 2)`, and the `inductance` L (H), known up to its period
     `2 pi / pole_pairs`: `atan2(flux_2 - L i_2, flux_1 - L i_1) / pole_pairs`.
 
     The paper prints the arctangent of the quotient, which is half a period off for half of

@@ -77,6 +77,7 @@ class Asymptotic(AbstractObserver):
     the exact start its error is `e(0) exp(-gain t)`; with the paper's the slower of `gain`
     and the filter's rate shows (the paper, Cor. 1, claims `gain`).
 
+    - `observer`: the algebraic observer that it follows;
     - `initial`: the user's estimate at the first instant, shape `(n,)`, kept and left at
       the rate `gain`. By default the estimate is the algebraic one at the first certified
       instant.

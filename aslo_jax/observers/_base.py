@@ -117,6 +117,8 @@ class AbstractObserver(Module, Generic[Est]):
 
     Conventions: `y[k]` is sampled at `t[k]`; `u[k]` is held on `[t[k], t[k+1])`. No
     estimate has direct feed-through of u.
+
+    **Raises:** `ValueError` for `substeps` below 1, and what its own equations refuse.
     """
 
     @abc.abstractmethod

@@ -37,6 +37,8 @@ class BearingObserver(AbstractObserver):
     either does.
 
     Source: theory, section 2 (rate relation with a weight, magnetic bearing).
+
+    **Raises:** `ValueError` for a `flux` observer of another relation, or without a guard.
     """
 
     flux: AlgebraicObserver

@@ -25,8 +25,9 @@ def _coasting(estimate: Any) -> Bool[Array, ""]:
 
 
 class SideBySide(AbstractObserver[dict[str, First]], Generic[First]):
-    """Several observers of the same signals as one; the estimate is a dictionary of
-    theirs."""
+    """Several `observers`, by name, of the same signals as one; the estimate is a
+    dictionary of theirs by the same names.
+    """
 
     observers: dict[str, AbstractObserver[First]] = eqx.field(converter=named)
 
@@ -40,9 +41,10 @@ class SideBySide(AbstractObserver[dict[str, First]], Generic[First]):
 
 
 class Joined(AbstractObserver):
-    """Several observers of the same signals as one, whose estimate is theirs one after the
-    other, as the hidden part of a plant may be. Its certificate is the least of theirs, and
-    it coasts if one of them does."""
+    """Several observers, `parts`, of the same signals as one, whose estimate is theirs one
+    after the other, as the hidden part of a plant may be. Its certificate is the least of
+    theirs, and it coasts if one of them does.
+    """
 
     parts: tuple[AbstractObserver, ...]
 

@@ -48,6 +48,8 @@ class PMSMModel(AbstractModel):
     electrical angle (rad, unwrapped). Input the voltage (V), output the current (A), the
     estimate the stator flux (Wb), each of shape `(2,)`.
 
+    - `relation`: of the flux and the current, with the machine's parameters.
+
     Source: paper, eqs. (sys) and (flucur).
     """
 
@@ -69,7 +71,7 @@ class PMSMModel(AbstractModel):
 
 
 class MechanicalModel(AbstractModel):
-    """A mechanical system: `x = (q, q')`, input the generalised forces, shape `(m,)`,
+    """A mechanical `system`: `x = (q, q')`, input the generalised forces, shape `(m,)`,
     output the positions, estimate the velocities, each of shape `(n,)`.
 
     Source: paper, eq. (EL).
@@ -92,7 +94,7 @@ class MechanicalModel(AbstractModel):
 
 
 class Belief(NamedTuple):
-    """Mean, shape `(n,)`, and covariance, shape `(n, n)`, of the state."""
+    """The `mean`, shape `(n,)`, and the `covariance`, shape `(n, n)`, of the state."""
 
     mean: Float[Array, " n"]
     covariance: Float[Array, "n n"]
@@ -158,6 +160,8 @@ class ExtendedKalman(AbstractObserver):
 
     Source: Kalman and Bucy 1961, doi:10.1115/1.3658902; Jazwinski, Stochastic Processes
     and Filtering Theory, 1970, theorem 8.1.
+
+    **Raises:** `ValueError` for a matrix that is not symmetric and positive (semi)definite.
     """
 
     model: AbstractModel

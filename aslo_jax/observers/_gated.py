@@ -69,6 +69,8 @@ class Gated(AbstractObserver):
     inside, which is asked first); u is not looked at.
 
     Gains are differentiated as ever, the choice of samples is not.
+
+    **Raises:** `ValueError` for a `patience` or `memory` that is no whole number from 1.
     """
 
     observer: AbstractObserver

@@ -52,6 +52,9 @@ class Lifted(AbstractObserver):
     flux, and its covariance stays what it was.
 
     Source: theory, section 10; Kalman 1960, doi:10.1115/1.3662552; Bierman 1977.
+
+    **Raises:** `ValueError` in continuous time without an `interval`, and for an `initial`
+    whose shape is not that of x.
     """
 
     relation: Callable[[PyTree, PyTree], Any]

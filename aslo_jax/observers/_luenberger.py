@@ -28,6 +28,8 @@ class ReducedLuenberger(AbstractObserver):
     The estimate has shape `(n - p,)`; its certificate is 1.
 
     Source: paper, eq. (lueobs).
+
+    **Raises:** `ValueError` for a `gain` whose shape does not fit `A`.
     """
 
     A: Float[Array, "n n"] = eqx.field(converter=real)

@@ -20,7 +20,7 @@ YOUNG = 3.0  # time constants for which a loop has hardly forgotten its start
 
 
 def wrap(angle: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """The same angle in [-pi, pi) (rad)."""
+    """The same `angle` (rad), of any shape, in [-pi, pi) (rad)."""
     return (angle + jnp.pi) % (2 * jnp.pi) - jnp.pi
 
 

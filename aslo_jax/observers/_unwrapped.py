@@ -20,6 +20,7 @@ class Unwrapped(AbstractObserver[Est], Generic[Est]):
     """An observer of `y`, shape `(p,)`, whose marked entries are angles (rad) that may jump
     by full turns between samples: they are unwrapped on the way in.
 
+    - `observer`: what is given the unwrapped y;
     - `angles`: for each entry, whether it is an angle.
 
     An angle must turn by less than pi from sample to sample, missing ones left out. In

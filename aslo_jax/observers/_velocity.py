@@ -40,6 +40,10 @@ class MomentumRelation(Module):
     - friction r(q) that varies with position: `x = m q_j'`, `x' = -(r/m) x + f`. Its filter
       must be faster than `r/m` (1/s).
 
+    - `system`: the mechanical system; `coordinate`: j, counted from 0;
+    - `friction`: `"none"`, `"constant"` or `"varying"`, as it is above;
+    - `constant`: whether the inertia m does not depend on q.
+
     `relation(u, (q, velocity))` needs the velocities that f depends on, those of the
     coordinates whose inertia depends on this one; the other entries do not matter.
 

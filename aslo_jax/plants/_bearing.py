@@ -24,7 +24,7 @@ class BearingFluxRelation(Module):
 
     - `resistance` (ohm) of both coils or of each, shape `()` or `(2,)`; `gap` g (m) on each
       side of the centred body; `force_constant` k = mu0 N^2 A (H m) of the N turns and the
-      area A of a coil.
+      area A of a coil; `mass` (kg) of the body.
 
     With the fluxes known, so is all else: [`position`][] and [`acceleration`][].
 

@@ -38,6 +38,8 @@ class IntegratorChain(AbstractPlant):
     """`x1' = x2, ..., xn' = u, y = x1`; the hidden part is `(x2, ..., xn)`.
 
     With `order=2` it is the double integrator of the paper's section 2.
+
+    **Raises:** `ValueError` for an `order` below 2.
     """
 
     order: int = eqx.field(static=True, default=2)

@@ -64,8 +64,8 @@ class SelfConsistentFluxRelation(Module):
     """The relation of an interior PMSM with the d current seen by an estimate of the flux:
     `i_d = x_a'i/|x_a|`, `x_a = flux - Lq i`, which is within +-|i| whatever the estimate.
 
-    For [`SelfConsistent`][]. `magnet_flux` (Wb) is needed here. Requires
-    `m + (Ld - Lq) i_d > 0`.
+    For [`SelfConsistent`][]. `salient` is the relation with the d current given.
+    `magnet_flux` (Wb) is needed here. Requires `m + (Ld - Lq) i_d > 0`.
 
     Source: theory, section 2.
     """

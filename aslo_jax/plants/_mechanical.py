@@ -117,6 +117,9 @@ class MechanicalSystem(AbstractMechanicalSystem):
 
     A function can be an `equinox.Module` with parameters of its own, which are then
     differentiable leaves of the system.
+
+    **Raises:** `ValueError` for a `position`, `angles` or a function's result whose shape
+    does not fit the coordinates.
     """
 
     _inertia: Callable[[Float[Array, " n"]], Array]

@@ -27,6 +27,8 @@ class WindingFluxRelation(Module):
     relation holds with L_r.
 
     Source: paper, Prop. 3 and App. C; theory, section 2.
+
+    **Raises:** `ValueError` for another `winding`.
     """
 
     winding: str = eqx.field(static=True)

@@ -12,7 +12,7 @@ Unknown = Callable[[list[str], type[BaseModel]], str]
 
 
 def hint(name: str, candidates: Iterable[str], text: str) -> str:
-    """`text` with the nearest of the `candidates` in it, nothing where none is near."""
+    """`text` with the `candidates` nearest to `name` in it, nothing where none is near."""
     candidates = list(candidates)
     close = difflib.get_close_matches(name, candidates, n=1)
     close = close or [each for each in candidates if name and each.startswith(name)]
@@ -20,7 +20,7 @@ def hint(name: str, candidates: Iterable[str], text: str) -> str:
 
 
 def choices(names: Iterable[str]) -> str:
-    """The names in quotes, as they stand in a file."""
+    """The `names` in quotes, as they stand in a file."""
     return ", ".join(f'"{name}"' for name in names)
 
 
@@ -41,6 +41,7 @@ def explain(
 ) -> str:
     """Every fault as a clause.
 
+    - `model`: of the file; `error`: that of reading the `content` of one by it;
     - `unknown(path, owner)`: what to say of a key that the table `owner` has not;
     - `in_full`: whether all is said that a number must be, not only what it lacks.
     """

@@ -38,7 +38,11 @@ NoLoad = WaveTable()
 
 
 class SupplyTable(Table):
-    """A turning voltage with modulated amplitude and phase."""
+    """A turning voltage with modulated amplitude and phase.
+
+    - `kind`: `"supply"`; `amplitude` (V) and `frequency` (rad/s) of the voltage;
+    - `depth`: of the modulation, without a unit; `rate`: its frequency (rad/s).
+    """
 
     kind: Literal["supply"] = key("the kind of signal")
     amplitude: Positive = key("amplitude", "V")
@@ -51,7 +55,7 @@ class SupplyTable(Table):
 
 
 class WaveInput(AbstractWaveTable):
-    """A wave among other signals."""
+    """A wave among other signals; `kind` is `"wave"`."""
 
     kind: Literal["wave"] = key("the kind of signal")
 

@@ -35,6 +35,8 @@ def key(
 ) -> Any:
     """A key of a table.
 
+    - `description`: in words, for messages and templates; `default`: its value where a file
+      has none, without which it is required;
     - `unit`: of a number, in SI; a key of `[observer]` in rad/s is a rate of the observer;
     - `example`: what [`template_lines`][] writes, by default the default;
     - `allowed`, `because`: for messages, where the type alone does not tell.
@@ -47,5 +49,5 @@ def key(
 
 
 def is_rate(field: Any) -> bool:
-    """Whether a field of a table is a rate (rad/s)."""
+    """Whether a `field` of a table is a rate (rad/s)."""
     return bool(field.json_schema_extra) and field.json_schema_extra["unit"] == "rad/s"

@@ -29,7 +29,10 @@ Square = Float[Array, "n n"]
 class Bound(Module):
     """The bound at the instants `t` (s) of the samples in time, shape `(T,)`: `variance` of
     each entry of the hidden state in its squared unit, shape `(N, T, m)`, for N
-    trajectories, or one where they were averaged before."""
+    trajectories, or one where they were averaged before.
+
+    **Raises:** `ValueError` for an rms after a time that is past the last sample.
+    """
 
     t: Float[np.ndarray, " T"]
     variance: Float[np.ndarray, "N T m"]
@@ -133,7 +136,7 @@ def cramer_rao(
 
 
 def with_bound(dataset: Any, bound: Bound, after: Mapping[str, float]) -> Any:
-    """The `xarray.Dataset` of a study with the bound, for its report.
+    """The `xarray.Dataset` of a study with the `bound`, for its report.
 
     - `after` (s) by the name of each metric of the dataset that is an `RMSError`.
     """

@@ -51,7 +51,9 @@ def compare(
     values: Mapping[str, Float[np.ndarray, " N"]], confidence: float = 0.95
 ) -> list[Comparison]:
     """Every pair of observers on a metric that is not negative, the smaller the better;
-    `values` by observer, sample by sample on the same random numbers.
+    `values` by observer, sample by sample on the same random numbers, each of shape `(N,)`.
+
+    - `confidence`: of the intervals, between 0 and 1, and of `better`, over all pairs.
 
     The test is on the logarithm of the ratio: errors spread over decades, and a test on
     differences would hear the largest ones only. It is on the difference for a pair with a
@@ -61,6 +63,9 @@ def compare(
 
     Source: Wilcoxon 1945, doi:10.2307/3001968; ties by Pratt 1959,
     doi:10.1080/01621459.1959.10501526; Holm 1979, doi:10.2307/4615733.
+
+    **Raises:** `ValueError` for `values` of different shapes, and for a `confidence` out of
+    (0, 1).
     """
     sizes = {name: np.shape(x) for name, x in values.items()}
     if len(set(sizes.values())) > 1 or any(len(size) != 1 for size in sizes.values()):
@@ -86,8 +91,10 @@ def ranking(
     confidence: float = 0.95,
     comparisons: Sequence[Comparison] | None = None,
 ) -> list[Place]:
-    """The observers from the best to the worst on a metric, from the `comparisons` that
-    [`compare`][] makes of the same arguments where they are not given."""
+    """The observers from the best to the worst on a metric, `values` by observer, each of
+    shape `(N,)`, at a `confidence` between 0 and 1, from the `comparisons` that
+    [`compare`][] makes of the same arguments where they are not given.
+    """
     if comparisons is None:
         comparisons = compare(values, confidence)
     beaten = dict.fromkeys(values, 0)

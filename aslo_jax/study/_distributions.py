@@ -56,7 +56,10 @@ class Normal(AbstractDistribution):
 
 @dataclasses.dataclass(frozen=True)
 class Uniform(AbstractDistribution):
-    """The uniform distribution between `low` and `high`."""
+    """The uniform distribution between `low` and `high`.
+
+    **Raises:** `ValueError` where `high` is not above `low`.
+    """
 
     low: float
     high: float
@@ -101,7 +104,10 @@ class LogNormal(AbstractDistribution):
 @dataclasses.dataclass(frozen=True)
 class Discrete(AbstractDistribution):
     """One of `values`, with `weights` in proportion to their probabilities, by default
-    equal ones."""
+    equal ones.
+
+    **Raises:** `ValueError` without `values`, and for `weights` that do not fit them.
+    """
 
     values: tuple[float, ...]
     weights: tuple[float, ...] | None = None
@@ -143,6 +149,9 @@ class Correlated(AbstractDistribution):
     """Several numbers with a joint normal distribution.
 
     - `mean`, shape `(d,)`, and `covariance`, shape `(d, d)`, positive definite.
+
+    **Raises:** `ValueError` for a `mean` or `covariance` that is not so, and for a
+    correlation that does not fit.
     """
 
     mean: tuple[float, ...]

@@ -33,7 +33,8 @@ def influences(
     """The Sobol indices of the logarithm of a metric, by observer, the largest total first.
 
     - `experiment`, `spread`, `steps`, `scale`, `engine`: as in [`run`][]; `metric`: one of
-      its `metrics`; of several entries the Euclidean norm counts, each over `scale`;
+      its `metrics`; of several entries the Euclidean norm counts, each over `scale`, shape
+      `(n,)`;
     - `base`, `confidence`: as in [`sobol_indices`][].
 
     All points see the noise of the first sample of the study with that `key`, by default

@@ -44,7 +44,9 @@ def bound_of(
     scale: Float[np.ndarray, " n"] | None = None,
 ) -> Bound:
     """The bound, averaged over the first samples of a study, so many `trajectories`, of the
-    error over `scale` where one is given; the other arguments as in [`run`][].
+    error over `scale`, shape `(n,)`, where one is given.
+
+    - `experiment`, `spread`, `steps`, `key`: as in [`run`][].
 
     It is one for observers that know the parameters of each sample and nothing of its
     start: a deviation of 10 in every entry of the state, in its SI unit.

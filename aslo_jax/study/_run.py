@@ -56,7 +56,7 @@ def run(
       one; an instance without an observer is the same for all;
     - `steps` of the experiment's interval, or the `horizon` (s) that they cover;
     - `every`: keeps the error of every `every`-th sample in time, its norm or that of the
-      error over `scale` entry by entry; by default none is kept;
+      error over `scale`, shape `(n,)`, entry by entry; by default none is kept;
     - `engine`: as in [`run_batch`][]; `threads`: of the fused engine;
     - `chunk`: how many samples are run and written at a time, rounded up to a whole number
       of blocks of 256;

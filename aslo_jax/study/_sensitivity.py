@@ -50,7 +50,8 @@ def sobol_indices(
       parameter. The same noise must be used at every point, or chance counts as a
       parameter that acts with all the others;
     - `base`: a power of two; there are `(d + 2) base` points;
-    - `key`: of the points and the bootstrap, by default `jax.random.key(0)`.
+    - `key`: of the points and the bootstrap, by default `jax.random.key(0)`; `confidence`:
+      of the intervals, between 0 and 1.
 
     Parameters that are drawn together, as correlated ones are, share their variance: the
     indices are then those of the coordinates u.
@@ -103,7 +104,11 @@ def slopes(
       name, each of shape `(N,)`: a point must depend on its own values only. What
       [`run_batch`][] computes is of this kind, with either engine;
     - `values`: the points, drawn from the spread, say: a few dozen, since a derivative says
-      more than a value; `deviations`: the standard deviation of each parameter.
+      more than a value; `deviations`: the standard deviation of each parameter;
+    - `key`: of the bootstrap, by default `jax.random.key(0)`; `confidence`: of the
+      intervals, between 0 and 1.
+
+    **Raises:** `ValueError` for `deviations` of other names than `values`.
     """
     names = list(values)
     if set(names) != set(deviations):

@@ -37,13 +37,16 @@ class Parameter:
 
 
 class Spread:
-    """What varies in a study, by name: each a [`Parameter`][], or `(where, distribution)`.
+    """What varies in a study, `parameters` by name: each a [`Parameter`][], or
+    `(where, distribution)`.
 
     - `design`: how the samples are laid out, `"iid"`, `"lhs"` (Latin hypercube, held in
       memory as a whole) or `"sobol"` (scrambled); the latter two of scipy.stats.qmc.
 
     Parameters of plant, controller and observers are leaves of their own: what is spread in
     the plant is what the observers do not know.
+
+    **Raises:** `ValueError` for another `design`.
     """
 
     def __init__(

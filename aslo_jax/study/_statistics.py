@@ -61,7 +61,12 @@ class Summary(NamedTuple):
 def summarise(
     x: Float[np.ndarray, " N"], confidence: float = 0.95, key: random.KeyLike | None = None
 ) -> Summary:
-    """All statistics of a metric `x`, the smaller the better, one value per sample."""
+    """All statistics of a metric `x`, shape `(N,)`, the smaller the better, one value per
+    sample.
+
+    - `confidence`: of the intervals, between 0 and 1;
+    - `key`: of the bootstrap, by default that of seed 0.
+    """
     x = judged(x)
     failures = int(np.isinf(x).sum())
     ordered = np.sort(x)
@@ -92,8 +97,10 @@ def judged(x: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
 def quantile(
     x: Float[np.ndarray, " N"], probability: float, confidence: float = 0.95
 ) -> Interval:
-    """The quantile of `x` at a `probability` between 0 and 1, and its interval from order
-    statistics, as of [`of_sorted`][]."""
+    """The quantile of `x`, shape `(N,)`, at a `probability` between 0 and 1, and its
+    interval with a `confidence` between 0 and 1, from order statistics, as of
+    [`of_sorted`][].
+    """
     return of_sorted(np.sort(judged(x)), probability, confidence)
 
 

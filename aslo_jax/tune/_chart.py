@@ -18,7 +18,9 @@ from ._gradients import slope
 
 
 class Surface(NamedTuple):
-    """A loss over two leaves: `loss[i, j]` at `first[i]` and `second[j]`."""
+    """A loss over two leaves: `loss[i, j]`, shape `(I, J)`, at `first[i]`, shape `(I,)`,
+    and `second[j]`, shape `(J,)`.
+    """
 
     first: Float[np.ndarray, " I"]
     second: Float[np.ndarray, " J"]
@@ -34,8 +36,11 @@ def surface(
     second: Sequence[float] | np.ndarray,
     key: random.Key | None = None,
 ) -> Surface:
-    """The loss of `tree` with its two leaves `where(tree)`, scalars, at every pair of the
-    values `first` and `second`, with the random numbers of [`fit`][] for the same `key`."""
+    """The `loss` of `tree` with its two leaves `where(tree)`, scalars, at every pair of the
+    values `first` and `second`, with the random numbers of [`fit`][] for the same `key`.
+
+    **Raises:** `ValueError` where `where` does not select two numbers.
+    """
     key = random.key(0) if key is None else key
     first, second = np.asarray(first, float), np.asarray(second, float)
     if len(where(tree)) != 2 or any(jnp.ndim(x) for x in where(tree)):
@@ -77,8 +82,15 @@ def pareto(
     `costs[0]^(1 - w) costs[1]^w`, which no units enter. Where the front is not convex in
     the logarithms, points are left out.
 
-    Compiled once for all weights; each descent starts where the last one ended. The other
-    arguments are as in [`fit`][]; forward mode.
+    Compiled once for all weights; each descent starts where the last one ended. Derivatives
+    are in forward mode.
+
+    - `weights`: the values of w;
+    - `steps`: at most as many iterations for each weight; `tolerance`: a descent has
+      converged where the slope of that product is below this part of it;
+    - `key`, `optimiser`, `bounds`: as in [`fit`][].
+
+    **Raises:** `ValueError` for `weights` out of [0, 1], and as [`fit`][].
     """
     key = random.key(0) if key is None else key
     weights = np.asarray(weights, float)

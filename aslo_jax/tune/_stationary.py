@@ -42,7 +42,7 @@ def lyapunov(A: Float[Array, "k k"], Q: Float[Array, "k k"]) -> Float[Array, "k 
 def stationary_variance(
     observer: AbstractObserver, input_noise: float, measurement_noise: float
 ) -> Float[Array, ""]:
-    """The variance of the first entry's error, long after the start, of a linear observer
+    """The variance of the first entry's error, long after the start, of a linear `observer`
     of scalar u and y, under white noise of two-sided intensities `input_noise` W on u (unit
     squared times second) and `measurement_noise` V on y. Differentiable in the observer.
 

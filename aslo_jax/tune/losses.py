@@ -63,13 +63,14 @@ class AbstractLoss(Module):
 
 
 def mean(costs: Float[Array, "N *costs"]) -> Float[Array, "*costs"]:
-    """The mean over the batch, of one cost or of several."""
+    """The mean over the batch of the `costs`, shape `(N, ...)`: of one cost or several."""
     return jnp.mean(costs, axis=0)
 
 
 def worst(costs: Float[Array, " N"]) -> Float[Array, ""]:
-    """The worst sample. Its gradient is that of one sample; a [`CVaR`][] has a smoother
-    one."""
+    """The worst sample of the `costs`, shape `(N,)`. Its gradient is that of one sample; a
+    [`CVaR`][] has a smoother one.
+    """
     return jnp.max(costs)
 
 
@@ -78,6 +79,8 @@ class CVaR(Module):
     last of them counted in part.
 
     Source: Rockafellar and Uryasev 2000, doi:10.21314/JOR.2000.038.
+
+    **Raises:** `ValueError` for a `fraction` out of (0, 1].
     """
 
     fraction: float = eqx.field(static=True)
@@ -131,7 +134,7 @@ class NoiseAndTransient(AbstractMetric):
     """The mean square error of `observer` from `split` (s) on, which is noise, and `weight`
     (1/s) times the integral of the squared error up to there, which is transient.
 
-    `scale` as in [`MeanSquare`][]; `interval`: between samples (s).
+    `scale`, shape `()` or `(n,)`, as in [`MeanSquare`][]; `interval`: between samples (s).
     """
 
     observer: str = eqx.field(static=True)
@@ -167,7 +170,10 @@ class NoiseAndTransient(AbstractMetric):
 class TransientAndNoise(AbstractMetric):
     """The two parts of a [`NoiseAndTransient`][] (without its weight), shape `(2,)`: the
     transient, the integral of the squared error up to `split` (s), and the noise, the mean
-    square from there on. For a Pareto front."""
+    square from there on. For a Pareto front.
+
+    `observer`, `interval` (s) and `scale`, shape `()` or `(n,)`, as there.
+    """
 
     observer: str = eqx.field(static=True)
     split: Float[Array, ""] = eqx.field(converter=real)
@@ -243,6 +249,9 @@ class MonteCarlo(AbstractLoss):
     - `engine`, `threads`: as in [`aslo_jax.run_batch`][].
 
     Sample k has the key `fold(key, k)`, so fits with the same key see the same samples.
+
+    **Raises:** `ValueError` for a `metric` without an observer's name where an experiment
+    has several.
     """
 
     place: Callable[[PyTree, PyTree], Experiment[Any]]
@@ -312,10 +321,12 @@ class MonteCarlo(AbstractLoss):
 
 
 class Recorded(AbstractLoss):
-    """The mean square error of an observer over a log with the true state, from `after`
-    (s) on: `t`, shape `(N,)`; `u` and `y` as in [`aslo_jax.replay`][]; `truth`, shape
-    `(N, n)`; `scale`, shape `()` or `(n,)`, the unit of the errors. The tree is the
-    observer, or what `place(tree)` makes it of."""
+    """The mean square error of an observer over a log with the true state, from `after` (s)
+    on: `t`, shape `(N,)`; `u` and `y` as in [`aslo_jax.replay`][]; `truth`, shape `(N, n)`;
+    `scale`, shape `()` or `(n,)`, the unit of the errors; `substeps`, as in
+    [`aslo_jax.replay`][], a whole number from 1. The tree is the observer, or what
+    `place(tree)` makes it of.
+    """
 
     t: Any
     u: PyTree
