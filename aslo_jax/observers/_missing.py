@@ -1,5 +1,6 @@
 """Samples that are missing: what stands in for them, and what is remembered meanwhile."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -81,7 +82,7 @@ def marked(estimate: PyTree, missing: Bool[Array, ""], kind: type) -> PyTree:
             return e
         # Before the first sample a model may be singular where it is evaluated.
         value = jnp.where(missing & ~jnp.isfinite(e.value), 0.0, e.value)
-        return kind(value, e.certificate, e.coasting | missing)
+        return dataclasses.replace(e, value=value, coasting=e.coasting | missing)
 
     return jax.tree.map(mark, estimate, is_leaf=is_one)
 
