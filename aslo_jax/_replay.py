@@ -189,8 +189,10 @@ def _amid(state: ObserverState | None) -> bool:
     """Whether a state may have been left where samples are missing."""
     if state is None or state.gap is None:
         return False
-    weight = state.gap.weight
-    return not is_concrete(weight) or bool(np.any(np.asarray(weight) != 1.0))
+    weight, doubt = state.gap.weight, state.gap.doubt
+    if not is_concrete(weight, doubt):
+        return True
+    return bool(np.any(np.asarray(weight) != 1.0) or np.any(np.asarray(doubt) > 0.0))
 
 
 def _may_fuse(arguments: PyTree) -> bool:
@@ -258,7 +260,7 @@ def _run_fused(
         intervals,
         coefficients,
         substeps,
-        common if coasts else None,
+        jnp.asarray(common) if coasts and common is not None else None,
         coasts,
     )
 

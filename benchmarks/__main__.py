@@ -17,6 +17,7 @@ from . import (
     switching,
     systems,
     tuning,
+    verdict,
 )
 
 FLAGS = {"--quick", "--install"}
@@ -29,6 +30,7 @@ BENCHMARKS = {
     "replay": replay.main,
     "reversal": reversal.main,
     "switching": switching.main,
+    "verdict": verdict.main,
     "systems": systems.main,
     "ablation": ablation.main,
     "peers": functools.partial(peers.main, "--install" in sys.argv),

@@ -2,9 +2,11 @@
 held voltage of an interval is the one that takes the flux from sample to sample exactly."""
 
 import dataclasses
+import json
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 Columns = dict[str, np.ndarray]
 PHASES = np.exp(2j * np.pi / 3 * np.arange(3))
@@ -183,3 +185,34 @@ def dropped(log: Columns, seed: int) -> Columns:
     kept = generator.random(log["t"].size) > 0.003
     kept[[0, -1]] = True
     return {name: x[kept] for name, x in log.items()}
+
+
+def described(motor: Motor, path) -> None:
+    """Writes the description of a motor without saliency."""
+    path.write_text(
+        f'[machine]\nkind = "pmsm"\nresistance = {motor.R}\ninductance = {motor.Lq}\n'
+        f"magnet_flux = {motor.psi}\npole_pairs = {motor.pole_pairs}\ninertia = 1e-4\n"
+    )
+
+
+def estimated(folder, motor: Motor, columns: dict, *options: str):
+    """`aslo-jax estimate` on a log of some columns: its summary for programs, its table."""
+    from aslo_jax.cli import main
+
+    log, machine, out, summary = (
+        folder / name for name in ("log.npz", "motor.toml", "out.npz", "out.json")
+    )
+    described(motor, machine)
+    np.savez(log, **columns)
+    arguments = [log, "--machine", machine, "--out", out, "--json", summary, *options]
+    with pytest.raises(SystemExit) as left:
+        main(["estimate", *map(str, arguments)])
+    assert not left.value.code
+    with np.load(out) as table:
+        return json.loads(summary.read_text()), dict(table)
+
+
+def in_alpha_beta(log: Columns) -> dict:
+    """The columns of a file."""
+    u, i = log["u"], log["i"]
+    return dict(t=log["t"], u_alpha=u.real, u_beta=u.imag, i_alpha=i.real, i_beta=i.imag)

@@ -328,8 +328,8 @@ def test_time_in_milliseconds_is_doubted(tmp_path, capsys, wrim_log):
     machine(tmp_path, "wrim", *OWN_WRIM)
     code, _, err = estimate(capsys, tmp_path, wrim_log | {"t": 1e3 * wrim_log["t"]})
     assert code == 0
-    assert "warning: the log has 10 rows a second, which is slow for this kind" in err
-    assert "is `t` in seconds, not milliseconds?" in err
+    assert "warning: the log has 10 rows a second, too slow for this kind" in err
+    assert "`t` may be in ms, not in seconds" in err
 
 
 def test_a_log_that_mostly_coasts_says_what_to_check(tmp_path, capsys, wrim_log):

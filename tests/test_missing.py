@@ -272,3 +272,24 @@ def test_interpolation_is_linear():
     lost[:, 1] = np.nan
     with pytest.raises(ValueError, match="finite entry in every column"):
         aslo.replay(made, t, u, lost, missing="interpolate")
+
+
+@pytest.mark.parametrize("both", [True, False])
+@pytest.mark.parametrize("rows", [5, 30, 120])
+def test_a_long_hole_is_flagged_until_the_filter_has_forgotten_it(rows, both):
+    """Over 1 rad without y, or without u and y, the error is of the size of the flux."""
+    t, u, y, flux = map(np.array, motor_log(900))
+    lost = slice(400, 400 + rows)
+    y[lost] = np.nan
+    if both:
+        u[lost] = np.nan
+    made = aslo.AlgebraicObserver(RELATION, aslo.LowPass(20.0), guard=aslo.Guard(1e-3))
+    found = aslo.replay(made, t, u, y, missing="coast", engine="fused")
+    error = np.linalg.norm(found.value - flux, axis=1) / np.linalg.norm(flux, axis=1)
+    after = np.arange(t.size) >= lost.stop
+    trusted = after & ~np.asarray(found.coasting)
+    assert error[trusted].max() < 0.2
+    assert trusted[-100:].all()
+    assert trusted[lost.stop + 1] == (rows == 5)
+    if rows == 120:
+        assert error[after].max() > 0.5

@@ -37,8 +37,13 @@ def recorded(motor, profile="rich", seed=3, dead=0.0):
     return noisy(run(motor, profile, dead=dead), motor, seed, NOISE)
 
 
-@pytest.mark.parametrize("profile", ["rich", "start", "reversal", "constant", "steps"])
-@pytest.mark.parametrize("name", ["servo", "drone", "stepper", "interior"])
+slow = lambda *values: [pytest.param(v, marks=pytest.mark.slow) for v in values]
+
+
+@pytest.mark.parametrize(
+    "profile", ["rich", "reversal", *slow("start", "constant", "steps")]
+)
+@pytest.mark.parametrize("name", ["servo", "interior", *slow("drone", "stepper")])
 def test_right_logs_pass_in_silence(name, profile):
     motor = BY_NAME[name]
     clean = run(motor, profile)
@@ -82,20 +87,20 @@ OF_THREE_PHASES = {
 
 
 @pytest.mark.parametrize("kind", ANYWHERE)
-@pytest.mark.parametrize("name", ["servo", "small", "stepper"])
+@pytest.mark.parametrize("name", ["stepper", *slow("servo", "small")])
 def test_the_cause_of_a_wrong_log_is_named(name, kind):
     motor = BY_NAME[name]
     assert kinds(ANYWHERE[kind](recorded(motor), motor), motor) == [kind]
 
 
 @pytest.mark.parametrize("kind", OF_THREE_PHASES)
-@pytest.mark.parametrize("name", ["drone", "crane", "salient"])
+@pytest.mark.parametrize("name", ["salient", *slow("drone", "crane")])
 def test_frames_of_three_phases_are_named(name, kind):
     motor = BY_NAME[name]
     assert kinds(OF_THREE_PHASES[kind](recorded(motor), motor), motor) == [kind]
 
 
-@pytest.mark.parametrize("name", ["servo", "small", "salient"])
+@pytest.mark.parametrize("name", ["salient", *slow("servo", "small")])
 def test_dead_time_is_named_with_its_volts(name):
     motor = BY_NAME[name]
     volts = 0.04 * float(np.sqrt(np.mean(np.abs(run(motor, "rich", 401)["u"]) ** 2)))

@@ -19,6 +19,7 @@ from ._options import (
     MostMissing,
     PowerInvariant,
     QuietTable,
+    RemoveOffset,
     double_precision,
     mapping,
     reading,
@@ -49,6 +50,7 @@ def calibrate(
     power_invariant: PowerInvariant = False,
     missing: MissingSamples = "refuse",
     most_missing: MostMissing = 10,
+    remove_offset: RemoveOffset = None,
     cutoff: Annotated[
         float | None,
         typer.Option(
@@ -123,6 +125,7 @@ def calibrate(
                 missing,
                 most_missing,
                 description.pole_pairs,
+                remove_offset,
             ),
         )
         found = calibrate_machine(

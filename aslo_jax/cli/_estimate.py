@@ -23,6 +23,7 @@ from ._options import (
     MostMissing,
     PowerInvariant,
     QuietSummary,
+    RemoveOffset,
     double_precision,
     mapping,
     reading,
@@ -77,6 +78,7 @@ def estimate(
     power_invariant: PowerInvariant = False,
     missing: MissingSamples = "refuse",
     most_missing: MostMissing = 10,
+    remove_offset: RemoveOffset = None,
     cutoff: Annotated[
         float | None,
         typer.Option(
@@ -172,6 +174,7 @@ def estimate(
                 missing,
                 most_missing,
                 description.pole_pairs,
+                remove_offset,
             ),
         )
         with _progress(reader.t.size, quiet) as progress:

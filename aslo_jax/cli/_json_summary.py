@@ -29,6 +29,7 @@ def summary_of(done: Done) -> dict[str, Any]:
                 "rows": int(t.size),
                 "duration": float(t[-1] - t[0]),
                 "interval": float(reader.interval),
+                "offset_removed": _offset(reader.offset),
             },
             "machine": machine.kind,
             "substeps": summary.substeps,
@@ -55,20 +56,35 @@ def write_json(path: Path, done: Done) -> None:
     path.write_text(text + "\n", encoding="utf-8")
 
 
+def _offset(removed: Any) -> dict[str, list[float]] | None:
+    """Alpha and beta of voltage (V) and current (A)."""
+    if removed is None:
+        return None
+    u, i = removed.voltage, removed.current
+    return {"voltage": [u.real, u.imag], "current": [i.real, i.imag]}
+
+
 def _figures(done: Done, quantity: Any) -> dict[str, Any]:
     summary = done.summary
     figures: dict[str, Any] = {"unit": quantity.unit}
     if kept := summary.relative.get(quantity.name):
         x = np.concatenate(kept)
+        x = x[~np.isnan(x)]
         if x.size:
             figures["relative_median"] = float(np.median(x))
             figures["relative_max"] = float(x.max())
-    name = quantity.columns[0]
-    if name in summary.errors:
-        errors = summary.errors[name]
-        figures["error_bias"], figures["error_scatter"] = errors.bias, errors.scatter
-        figures["error_rms"] = float(np.hypot(errors.bias, errors.scatter))
-        figures["truth_rms"] = summary.sizes[name].rms
+    errors = {
+        name: {
+            "bias": summary.errors[name].bias,
+            "scatter": summary.errors[name].scatter,
+            "truth_rms": summary.sizes[name].rms,
+            "bias_removed": summary.offsets.get(name),
+        }
+        for name in quantity.columns
+        if name in summary.errors
+    }
+    if errors:
+        figures["errors"] = errors
     return figures
 
 

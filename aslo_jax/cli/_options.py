@@ -69,6 +69,14 @@ MostMissing = Annotated[
     int,
     typer.Option(min=1, help="Rows next to each other that are interpolated at most."),
 ]
+RemoveOffset = Annotated[
+    str | None,
+    typer.Option(
+        metavar="standstill|periods",
+        help="Take from stator voltages and currents what is constant in them, told from a "
+        "standstill of the log or over whole electrical periods; it is stated.",
+    ),
+]
 MaxGap = Annotated[
     float | None,
     typer.Option(help="Longest interval allowed (s); by default ten median ones."),
@@ -89,6 +97,7 @@ def reading(
     missing: str,
     most_missing: int,
     pole_pairs: int | None,
+    remove_offset: str | None = None,
 ) -> dict[str, Any]:
     """What `read_log` takes, of the options above and the machine's `pole_pairs`."""
     from ..logs import Frame
@@ -97,6 +106,7 @@ def reading(
         "frame": Frame(frame, angle, angle_kind, pole_pairs, power_invariant),
         "missing": missing,
         "most_missing": most_missing,
+        "remove_offset": remove_offset,
     }
 
 

@@ -7,7 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from ..diagnosis import Diagnosing, Diagnosis, repaired, retimed_pieces
+from ..diagnosis import (
+    Diagnosing,
+    Diagnosis,
+    Motion,
+    Truth,
+    of_stamps,
+    repaired,
+    retimed_pieces,
+)
 from ..logs import Log, LogReader, TableWriter
 from ..machines import AbstractDescription
 from ..machines._base import Rates
@@ -100,6 +108,8 @@ def tabulated(
         summary = Summary(reader, machine, rates, substeps)
         summary.offsets = offsets
         trace = Trace(machine, reader.t.size)
+        motions: dict[str, Motion] = {}
+        truths: dict[str, Truth] = {}
         diagnosing = Diagnosing(machine.circles(), reader.t.size, reader.interval)
         estimator = Estimator(machine, rates, reader.t, substeps, first, offsets)
         with TableWriter(out) as writer:
@@ -113,6 +123,8 @@ def tabulated(
                 writer.write(piece.columns)
                 names = tuple(piece.columns)
                 summary.add(piece)
+                _compared(motions, machine, log, piece)
+                _scaled(truths, machine, reader, piece)
                 if drawn:
                     trace.add(piece, log)
                 if not again:
@@ -123,5 +135,56 @@ def tabulated(
         elif align and not offsets and summary.biases():
             offsets = summary.biases()
         else:
+            stamps = of_stamps(reader.t, machine.longest_interval)
             verdict = diagnosing.result(keep_outliers)
+            if any(finding.kind == "time_unit" for finding in stamps.warnings):
+                # What else seems wrong, and is told in seconds, follows from that.
+                verdict = dataclasses.replace(verdict, warnings=())
+            verdict = stamps + verdict
+            for part in (*motions.values(), *truths.values()):
+                verdict = verdict + part.diagnosis()
             return Done(summary, trace, verdict, names, estimator.observed.slow)
+
+
+def _compared(
+    motions: dict[str, Motion], machine: AbstractDescription, log: Log, piece: table.Piece
+) -> None:
+    """Compare the velocities of a piece, but for the row that it shares with the one
+    before, with the positions of the log."""
+    suffixes = {q.columns[0]: q.suffix for q in machine.quantities}
+    rows = piece.columns["t"].size
+    for name, q in machine.positions(log).items():
+        trusted = piece.columns[f"coasting{suffixes[name]}"] == 0
+        motion = motions.setdefault(name, Motion(name))
+        motion.add(piece.columns["t"], q[-rows:], piece.columns[name], trusted)
+
+
+def _scaled(
+    truths: dict[str, Truth],
+    machine: AbstractDescription,
+    reader: LogReader,
+    piece: table.Piece,
+) -> None:
+    """Compare angles and speeds of a piece with their truth."""
+    if machine.pole_pairs is None:
+        return
+    for quantity in machine.quantities:
+        name = quantity.columns[0]
+        if name not in piece.truth or not (quantity.angle or quantity.tracks):
+            continue
+        coasting = piece.columns[f"coasting{quantity.suffix}"]
+        if quantity.tracks:
+            coasting = coasting | piece.columns[f"coasting_{quantity.name}"]
+        trusted = coasting == 0
+        told = name.replace("electrical", "mechanical")
+        mechanical = told in reader.truth and name not in reader.truth
+        truth = truths.setdefault(
+            name,
+            Truth(
+                told if mechanical else name,
+                quantity.angle,
+                machine.pole_pairs,
+                mechanical,
+            ),
+        )
+        truth.add(piece.columns[name][trusted], piece.truth[name][trusted])

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
+from ..diagnosis import of_stamps
 from ..logs import LogReader
 from ..machines import AbstractDescription, Quantity
 from ..machines._base import Rates, relative
@@ -103,7 +104,8 @@ class Summary:
     def _score(self, quantity: Quantity, piece: Piece, rows: np.ndarray) -> None:
         kept = self.relative.setdefault(quantity.name, [])
         if quantity.name in piece.residuals:
-            kept.append(piece.residuals[quantity.name][rows])
+            trusted = piece.columns[f"coasting{quantity.suffix}"] == 0
+            kept.append(piece.residuals[quantity.name][rows & trusted])
         elif set(quantity.columns) <= piece.truth.keys() and len(quantity.columns) > 1:
             kept.append(relative_error(quantity, piece)[rows])
         else:
@@ -158,6 +160,7 @@ class Summary:
             x = x[~np.isnan(x)]  # where the truth is missing
             if not x.size:
                 return
+            of += "rows that coast left out, " * (not self.scored)
             largest = x.max()
             middle = np.median(x, overwrite_input=True)
             yield f"{of}median {middle:.2g}, max {largest:.2g}"
@@ -180,7 +183,10 @@ class Summary:
     def warnings(self) -> Iterator[tuple[str, str]]:
         """Kind and message of each."""
         sampled = f"{1.0 / self.interval:.4g} rows a second"
-        if self.interval > self.machine.longest_interval:
+        units = [
+            f.kind for f in of_stamps(self.reader.t, self.machine.longest_interval).warnings
+        ]
+        if self.interval > self.machine.longest_interval and "time_unit" not in units:
             yield (
                 "slow_sampling",
                 f"the log has {sampled}, which is slow for this kind of machine: is `t` in "

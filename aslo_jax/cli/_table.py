@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 
 from .._replay import common_interval, run_log
 from .._typing import Engine
-from ..diagnosis import Rows, touched
+from ..diagnosis import Rows, absent_rows, bridged, touched
 from ..logs import Log
 from ..machines import AbstractDescription
 from ..machines._base import Columns, Rates
@@ -54,6 +54,7 @@ class Replayed:
         self.slow = ""
         self._engine: Engine = "auto"
         self._state: ObserverState | None = None
+        self._coasts = False  # from the first sample on that is missing
 
     def __call__(
         self,
@@ -64,10 +65,18 @@ class Replayed:
         """The estimates of a piece, of its first row too."""
         lengths = None if self.interval is not None else np.diff(t)
         log = (np.zeros(()), u, y, lengths)
+        there = bool(np.isfinite(u).all() and np.isfinite(y).all())
+        self._coasts = self._coasts or not there
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             estimate, self._state = run_log(
-                self.observer, log, self.interval, self.substeps, self._state, self._engine
+                self.observer,
+                log,
+                self.interval,
+                self.substeps,
+                self._state,
+                self._engine,
+                self._coasts,
             )
         if said and self._engine == "auto":
             self.slow, self._engine = str(said[0].message), "scan"
@@ -145,7 +154,11 @@ class Estimator:
         fresh = self._rows == 0
         # The row that this piece begins with.
         begin = 0 if fresh else self._rows - 1
-        found = self.machine.columns(self._observed(log, suspect), log)
+        estimate = self._observed(log, suspect)
+        # The observer coasts over what is missing; where its rows are looked at beside the
+        # estimates, straight lines stand in.
+        log = bridged(log, absent_rows(log))
+        found = self.machine.columns(estimate, log)
         if suspect is not None and suspect.count:
             made_up = touched(suspect, log.t.size)
             for suffix in self.machine.suffixes():

@@ -17,6 +17,7 @@ from ._options import (
     MostMissing,
     PowerInvariant,
     QuietTable,
+    RemoveOffset,
     double_precision,
     mapping,
     reading,
@@ -53,6 +54,7 @@ def tune(
     power_invariant: PowerInvariant = False,
     missing: MissingSamples = "refuse",
     most_missing: MostMissing = 10,
+    remove_offset: RemoveOffset = None,
     max_gap: MaxGap = None,
     samples: Annotated[int, typer.Option(min=1, help="Of the file's spread.")] = 128,
     seed: Annotated[int, typer.Option(min=0, help="Of everything that is random.")] = 0,
@@ -107,6 +109,7 @@ def tune(
                     missing,
                     most_missing,
                     content["machine"].get("pole_pairs"),
+                    remove_offset,
                 ),
             )
             found, values = calibrate_study(content, recorded, progress=say)

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..logs import Log
+from ._absent import absent_rows, beside_holes, bridged, long_holes
 from ._circle import Circle
-from ._repair import repaired
+from ._repair import repaired, without
 from ._rows import Rows, gaps_in, suspect_rows
 from ._sample import Sample
 from ._value import Diagnosis, Finding
@@ -21,6 +22,9 @@ class Diagnosing:
     piece, each piece beginning with the last row of the one before.
 
     - `circles`: what its fluxes must satisfy, of its machine.
+
+    Samples that are missing, not finite, are left alone: nothing is said of them or of the
+    rows beside them.
     """
 
     def __init__(self, circles: Sequence[Circle], rows: int, interval: float):
@@ -31,13 +35,17 @@ class Diagnosing:
     def add(self, log: Log) -> Rows:
         """The next piece; its rows that cannot be right."""
         begin = max(self._seen - 1, 0)
-        each = [suspect_rows(log, circle, self.interval) for circle in self.circles]
+        absent = absent_rows(log)
+        outliers = beside_holes(log, absent)
+        whole = bridged(without(log, outliers), absent)
+        each = [suspect_rows(whole, circle, self.interval) for circle in self.circles]
         found = _together(each) if each else _gaps(log, self.interval)
+        found = found.away_from(absent).and_outliers(outliers)
         self._found.append(found.shifted(begin))
-        broken = np.zeros(log.t.size, bool)
+        broken = long_holes(whole, absent, self.circles)
         broken[found.lost] = True
         if self.circles:
-            self._sample.add(repaired(log, found), broken)
+            self._sample.add(repaired(whole, found), broken)
         self._seen = begin + log.t.size
         return found
 

@@ -11,12 +11,17 @@ from ._rows import Rows
 
 def marked(log: Log, rows: Rows) -> Log:
     """A `log` with NaN in place of outputs and inputs that cannot be right, those of
-    `rows`, which makes them missing ones.
-    """
-    y, u = log.y.copy(), log.u.copy()
-    y[rows.outliers] = np.nan
+    `rows`, which makes them missing ones."""
+    u = log.u.copy()
     u[rows.inputs] = np.nan
-    return dataclasses.replace(log, u=u, y=y)
+    return dataclasses.replace(without(log, rows.outliers), u=u)
+
+
+def without(log: Log, rows: Int[np.ndarray, " k"]) -> Log:
+    """A log with NaN in place of the outputs of some rows."""
+    y = log.y.copy()
+    y[rows] = np.nan
+    return dataclasses.replace(log, y=y)
 
 
 def repaired(log: Log, rows: Rows) -> Log:
@@ -46,11 +51,16 @@ def touched(rows: Rows, count: int) -> Bool[np.ndarray, " N"]:
 def _bridged(
     x: Float[np.ndarray, "N n"], rows: Int[np.ndarray, " k"]
 ) -> Float[np.ndarray, "N n"]:
-    """Straight lines over some rows."""
+    """Straight lines over some rows; samples that are missing remain so."""
     if not rows.size:
         return x
-    good = np.ones(x.shape[0], bool)
+    good = np.isfinite(x).all(axis=1)
+    absent = ~good
     good[rows] = False
+    if not good.any():
+        return x
     at, known = np.arange(x.shape[0]), np.flatnonzero(good)
     columns = [np.interp(at, known, x[known, j]) for j in range(x.shape[1])]
-    return np.stack(columns, axis=1)
+    filled = np.stack(columns, axis=1)
+    filled[absent] = x[absent]
+    return filled

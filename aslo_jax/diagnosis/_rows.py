@@ -45,6 +45,28 @@ class Rows:
         """The same, no outliers among them."""
         return dataclasses.replace(self, outliers=NONE, inputs=NONE)
 
+    def away_from(self, absent: Bool[np.ndarray, " N"]) -> "Rows":
+        """The same, without those that touch rows whose samples are missing."""
+        if not absent.any():
+            return self
+        near = absent.copy()
+        near[1:] |= absent[:-1]
+        near[:-1] |= absent[1:]
+        kept = lambda rows: rows[~near[rows]]
+        rest = ~near[self.gaps]
+        return Rows(
+            kept(self.outliers),
+            kept(self.inputs),
+            kept(self.lost),
+            self.gaps[rest],
+            self.missing[rest],
+        )
+
+    def and_outliers(self, rows: Int[np.ndarray, " k"]) -> "Rows":
+        """The same, and some more outliers."""
+        outliers = np.union1d(self.outliers, rows).astype(int)
+        return dataclasses.replace(self, outliers=outliers)
+
     def shifted(self, rows: int) -> "Rows":
         """The same rows of a log that has `rows` more before them."""
         names = ("outliers", "inputs", "lost", "gaps")

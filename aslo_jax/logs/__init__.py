@@ -9,6 +9,7 @@ samples that are missing. One that cannot be used is refused with row, column an
 
 from ._error import LogError as LogError
 from ._frame import Frame as Frame
+from ._offset import Offset as Offset, offset_of as offset_of
 from ._reader import Log as Log, LogReader as LogReader, read_log as read_log
 from ._signals import MOTOR as MOTOR, Signals as Signals
 from ._table import (

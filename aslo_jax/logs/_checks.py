@@ -63,6 +63,14 @@ def check_time(
     if not (gaps > 0).all():
         row = int(np.argmin(gaps > 0)) + 1
         how = "repeats" if gaps[row - 1] == 0 else "runs backwards"
+        if (gaps >= 0).all() and (why := _coarse(t, gaps)):
+            raise LogError(
+                f"{path}, {where(row)}, column `{label}`: time repeats, {t[row]:.12g} s, "
+                f"in {int((gaps == 0).sum())} of {gaps.size} intervals: its instants are "
+                f"{why}, too coarse for this log; write more digits, from a clock in "
+                "double precision, or, if rows are even, "
+                f"t as {(t[-1] - t[0]) / gaps.size:.6g} s times the number of the row."
+            )
         raise LogError(
             f"{path}, {where(row)}, column `{label}`: time {how}, {t[row]:.12g} s after "
             f"{t[row - 1]:.12g} s; sort the log and drop repeated rows."
@@ -78,3 +86,15 @@ def check_time(
             "split the log there or raise the limit, --max-gap (in Python, `max_gap=`)."
         )
     return median
+
+
+def _coarse(t: Float[np.ndarray, " N"], gaps: Float[np.ndarray, " n"]) -> str:
+    """Why many instants repeat, if they do so because the clock has coarse steps."""
+    steps = gaps[gaps > 0]
+    if not steps.size or np.mean(gaps == 0) < 0.02:
+        return ""
+    if np.array_equal(t.astype(np.float32).astype(float), t):
+        return "of a clock in single precision"
+    least = float(steps.min())
+    whole = np.abs(steps / least - np.round(steps / least)).max() < 1e-3
+    return f"rounded to {least:.3g} s" if whole else ""

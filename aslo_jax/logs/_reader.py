@@ -15,10 +15,12 @@ from ._formats import open_source
 from ._frame import ANGLE, Frame
 from ._memory import in_memory
 from ._missing import MOST, Missing
+from ._offset import ROTATING, Offset, check_way, offset_of
 from ._select import checked_mapping, select
 from ._signals import MOTOR, Signals
 from ._source import Source
 
+LOOKED_AT = 1_000_000  # rows of a log, from its beginning on, for its offset
 KEPT = 1 << 27  # bytes of a log that are kept from the first reading for the second
 
 
@@ -49,14 +51,15 @@ class Log:
         frame: Frame | str = "alpha-beta",
         missing: str = "refuse",
         most_missing: int = MOST,
+        remove_offset: str | None = None,
     ) -> "Log":
         """A log from columns in memory, found by name as those of a file are.
 
         - `data`: a mapping of names to arrays, `(N,)` or, with columns called `name[0]`,
           `name[1]`, `(N, n)`; a pandas `DataFrame`, whose index is a column if it has a
           name; or an xarray `Dataset`, whose variables may have the attribute `units`;
-        - `signals`, `columns`, `truth`, `max_gap`, `frame`, `missing`, `most_missing`: as
-          [`read_log`][] takes them.
+        - `signals`, `columns`, `truth`, `max_gap`, `frame`, `missing`, `most_missing`,
+          `remove_offset`: as [`read_log`][] takes them.
 
         **Raises:** `LogError` as `read_log` does.
         """
@@ -69,6 +72,7 @@ class Log:
             frame=frame,
             missing=missing,
             most_missing=most_missing,
+            remove_offset=remove_offset,
         )
         (log,) = reader.pieces(reader.t.size)
         return log
@@ -84,6 +88,7 @@ class LogReader:
     - `t`: every sampling instant (s), shape `(N,)`; `interval`: the median one (s);
     - `optional`: whether the file has the optional inputs;
     - `truth`: the truth columns that it has;
+    - `offset`: what is taken from voltages and currents, if it was to be;
     - `name`: of the file; `said`: what was done of its columns, frame and missing samples,
       a line each, where that is not nothing.
 
@@ -96,6 +101,7 @@ class LogReader:
     interval: float
     optional: bool
     truth: tuple[str, ...]
+    offset: Offset | None
     said: tuple[str, ...]
 
     def __init__(
@@ -109,6 +115,7 @@ class LogReader:
         frame: Frame | str = "alpha-beta",
         missing: str = "refuse",
         most_missing: int = MOST,
+        remove_offset: str | None = None,
         watch: Callable[[Log], object] = lambda log: None,
     ):
         if max_gap is not None and not max_gap > 0:
@@ -116,6 +123,8 @@ class LogReader:
                 "Argument `max_gap` (option --max-gap) must be positive (s), but got "
                 f"{max_gap}."
             )
+        if remove_offset is not None:
+            check_way(remove_offset)
         self._frame = Frame(frame) if isinstance(frame, str) else frame
         self._missing = Missing(missing, most_missing)
         here = self._frame.signals(signals)
@@ -139,7 +148,10 @@ class LogReader:
             self._sampled |= {*signals.optional}
         self._kept: list[Columns] | None = []
         self._turned = 0.0  # the largest change of the angle of the frame (rad)
+        self.offset = None
         self.t = self._checked(watch, max_gap)
+        if remove_offset is not None:
+            self.offset = self._offset(remove_offset)
         self.said = tuple(self._lines())
 
     def _checked(
@@ -161,6 +173,25 @@ class LogReader:
         label = self._labels["t"]
         self.interval = check_time(self.path, t, label, source.where, max_gap)
         return t
+
+    def _offset(self, way: str) -> Offset:
+        names = {*self.signals.inputs, *self.signals.outputs}
+        if not names.issuperset(ROTATING):
+            raise LogError(
+                "--remove-offset (in Python, `remove_offset=`) is for "
+                f"{', '.join(ROTATING)}, but this machine has {', '.join(sorted(names))}; "
+                "remove it."
+            )
+        parts: list[list[np.ndarray]] = [[] for _ in ROTATING]
+        rows = 0
+        for data in self._batches(check=False) if self._kept is None else self._kept:
+            for part, name in zip(parts, ROTATING, strict=True):
+                part.append(np.asarray(data[name], float))
+            rows += data["t"].size
+            if rows >= LOOKED_AT:
+                break
+        ua, ub, ia, ib = (np.concatenate(part) for part in parts)
+        return offset_of(self.t[:rows], ua + 1j * ub, ia + 1j * ib, way)
 
     def _batches(self, *, check: bool) -> Iterator[Columns]:
         """The columns of the log, from the first row on."""
@@ -219,6 +250,8 @@ class LogReader:
             yield f"read: {', '.join(filter(None, read))}"
         if frame := self._frame.said(self._labels.get(ANGLE, ""), self._turned):
             yield f"frame: {frame}"
+        if self.offset is not None:
+            yield f"offset removed: {self.offset.said()}"
         if missing := self._missing.said(self.t.size):
             yield f"missing: {missing}"
 
@@ -241,6 +274,8 @@ class LogReader:
     def _log(self, data: Columns) -> Log:
         self.truth = tuple(name for name in self.signals.truth if name in data)
         optional = self.signals.optional if self.optional else ()
+        if self.offset is not None:
+            data = self.offset.taken_from(data)
         return Log(
             t=data["t"],
             u=_stacked(data, [*self.signals.inputs, *optional]),
@@ -259,6 +294,7 @@ def read_log(
     frame: Frame | str = "alpha-beta",
     missing: str = "refuse",
     most_missing: int = MOST,
+    remove_offset: str | None = None,
 ) -> Log:
     """Read the log `path`: text (.csv, .txt, .tsv, .dat, or one of these in .gz), .parquet,
     .npz, .mat or .tdms.
@@ -271,7 +307,9 @@ def read_log(
     - `frame`: that of the file, a [`Frame`][] or its name;
     - `missing`: what to do of a sample of u or y that is blank or not finite: `"refuse"`;
       `"coast"`, which leaves NaN to the observer; or `"interpolate"`, by a straight line
-      over at most `most_missing` rows.
+      over at most `most_missing` rows;
+    - `remove_offset`: take from stator voltages and currents what is constant in them, told
+      from a `"standstill"` of the log or over whole electrical `"periods"`.
 
     A column is found by its name, with or without a unit (`Time [ms]`, `n (rpm)`, `I_a/A`),
     in the usual spellings; it is converted to SI units, and other columns are ignored. Text
@@ -292,6 +330,7 @@ def read_log(
         frame=frame,
         missing=missing,
         most_missing=most_missing,
+        remove_offset=remove_offset,
     )
     (log,) = reader.pieces(reader.t.size)
     return log

@@ -187,6 +187,12 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         tell a wrong one; by default nothing is known."""
         return ()
 
+    def positions(self, log: Log) -> Columns:
+        """The positions that a log measures whose derivatives are estimated, by the column
+        of the derivative; by default there are none."""
+        del log
+        return {}
+
     def columns_of_log(self) -> Layout:
         """The `layout` of this machine's logs."""
         return self.layout

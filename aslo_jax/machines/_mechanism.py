@@ -204,6 +204,10 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
             found[quantity.name] = relative(error, size)
         return found
 
+    def positions(self, log):
+        each = zip(self.quantities, self.unwrapped(log).T, strict=True)
+        return {quantity.columns[0]: q for quantity, q in each}
+
     def unwrapped(self, log: Log) -> Float[np.ndarray, "N n"]:
         """The positions of a log, its angles unwrapped."""
         angles = self.plant().angles or (False,) * log.y.shape[1]

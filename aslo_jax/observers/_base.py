@@ -1,6 +1,7 @@
 """The protocol of every observer."""
 
 import abc
+import functools
 import typing
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Generic
@@ -10,11 +11,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from .._checks import kind, positive
+from .._filters import _Hold
 from .._module import Module
 from .._realise import Advance, Flow, Interval, Pass, Start, States
 from .._signals import check_signals
 from .._typing import PyTree
-from ._missing import Gap, either, marked, whole
+from ._missing import DOUBT, Gap, either, marked, whole
 
 __all__ = [
     "AbstractObserver",
@@ -213,12 +215,14 @@ class AbstractObserver(Module, Generic[Est]):
         was known, and counts for its part of the time between the two. Rows of
         the exact start hold through a hole but for the error of that derivative over it,
         which is forgotten at the rate of the filters; it is small where nothing turns by
-        more than about a tenth of a radian meanwhile. Before the first y that is finite
+        more than about a tenth of a radian meanwhile. After a longer hole the estimate is
+        flagged until a low-pass filter has forgotten it to about 5 %; other filters do not
+        tell. Before the first y that is finite
         nothing is known; there the observer begins.
         """
         gap = Gap.before(u, state.y)[0] if state.gap is None else state.gap
         y = self.continued(state.y, y)
-        now = whole(gap, state.y, u, y, dt)
+        now = whole(gap, state.y, u, y, dt, _kept(coefficients, substeps))
         begun = self.allocate(now.y, now.u).states
         states = either(now.first, begun, state.states)
         weight, before = now.weights
@@ -226,7 +230,8 @@ class AbstractObserver(Module, Generic[Est]):
         states, estimate = self._across(
             states, now.u, now.left, now.y, coefficients, substeps, ends
         )
-        estimate = marked(estimate, now.missing, Estimate)
+        doubtful = now.missing | (now.gap.doubt > DOUBT)
+        estimate = marked(estimate, doubtful, Estimate)
         return ObserverState(states, now.y, now.gap), estimate
 
     def continued(self, before: PyTree, y: PyTree) -> PyTree:
@@ -289,6 +294,17 @@ def named(
 ) -> dict[str, AbstractObserver[Est]]:
     """Observers by name, as a dictionary; what is none is left to [`check_observers`][]."""
     return dict(observers) if isinstance(observers, Mapping) else observers
+
+
+def _kept(coefficients: PyTree, substeps: int) -> Any:
+    """What the slowest low-pass filter remembers over an interval; `None` without one."""
+    is_hold = lambda x: isinstance(x, _Hold)
+    holds = jax.tree.leaves(coefficients, is_leaf=is_hold)
+    decays = [x.decay for x in holds if is_hold(x) and jnp.ndim(x.decay) == 0]
+    if not decays:
+        return None
+    slowest = functools.reduce(jnp.maximum, decays)
+    return functools.reduce(lambda a, b: a * b, [slowest] * max(substeps, 1))
 
 
 def check_observers(observers: Any) -> None:

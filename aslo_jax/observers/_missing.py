@@ -10,18 +10,28 @@ from jaxtyping import Array, Bool, Float
 
 from .._typing import PyTree
 
+# What a hole costs an estimate, relative to it, is about the square of its length in time
+# constants of the filter times these, and is forgotten as the filter forgets: measured on
+# motors at default cutoffs, 0.1 to 12 rad, with u and without.
+BLIND, UNMEASURED = 1.4, 0.7
+DOUBT = 0.05  # of the estimate: an error above which it is flagged
+
 
 class Gap(eqx.Module):
     """What is remembered of the samples before this one, in case one is missing.
 
     - `u`: the last input that was finite, zero before there is one;
     - `waited`: since the last finite y (s), infinite before there is one, shape `()`;
-    - `weight`: that of the last interval, 1 unless samples are missing, shape `()`.
+    - `weight`: that of the last interval, 1 unless samples are missing, shape `()`;
+    - `lost`: the length of the hole until now, in time constants, shape `()`;
+    - `doubt`: the error that holes have left, relative to the estimate, shape `()`.
     """
 
     u: PyTree
     waited: Float[Array, ""]
     weight: Float[Array, ""]
+    lost: Float[Array, ""]
+    doubt: Float[Array, ""]
 
     @classmethod
     def before(cls, u: PyTree, y: PyTree) -> tuple["Gap", PyTree]:
@@ -32,11 +42,12 @@ class Gap(eqx.Module):
         waited = jnp.where(there, 0.0, jnp.inf).astype(kind)
         weight = jnp.where(there, 1.0, 0.0).astype(kind)
         one = jax.tree.map(jnp.ones_like, y)
-        return cls(zeros(u), waited, weight), either(there, y, one)
+        none = jnp.zeros_like(waited)
+        return cls(zeros(u), waited, weight, none, none), either(there, y, one)
 
     def after(self, u: PyTree) -> "Gap":
         """An interval over which nothing is missing."""
-        return Gap(u, self.waited, self.weight)
+        return Gap(u, self.waited, self.weight, self.lost, self.doubt)
 
 
 class Sample(NamedTuple):
@@ -53,10 +64,10 @@ class Sample(NamedTuple):
     gap: Gap
 
 
-def whole(gap: Gap, before: PyTree, u: PyTree, y: PyTree, dt: Any) -> Sample:
+def whole(gap: Gap, before: PyTree, u: PyTree, y: PyTree, dt: Any, kept: Any) -> Sample:
     """The sample `u`, `y` after `dt` seconds, held where it is missing. `before` is the y
     that held until now: where y comes back, the interval begins on the line that joins the
-    two."""
+    two. `kept` is what a filter remembers over these seconds, `None` without one."""
     u_there, y_there = finite(u), finite(y)
     u, y = either(u_there, u, gap.u), either(y_there, y, before)
     begun = jnp.isfinite(gap.waited)
@@ -70,7 +81,18 @@ def whole(gap: Gap, before: PyTree, u: PyTree, y: PyTree, dt: Any) -> Sample:
     # After a long hole its mean slope says little of the last interval.
     weight = jnp.where(missing, 0.0, 1.0 - part)
     weights = weight, jnp.where(first, 1.0, gap.weight)
-    return Sample(u, left, y, missing, first, weights, Gap(u, elapsed, weight))
+    lost, doubt = gap.lost, gap.doubt
+    if kept is not None:
+        kept = jnp.asarray(kept, doubt.dtype)
+        length = (1.0 - kept) * jnp.where(u_there, UNMEASURED, BLIND)
+        broken = ~(u_there & y_there)
+        passed = lost + jnp.where(broken, length, 0.0)
+        doubt = kept * doubt + jnp.where(y_there, passed**2, 0.0)
+        lost = jnp.where(y_there, 0.0, passed)
+        forgets = first | ~begun
+        lost, doubt = jnp.where(forgets, 0.0, lost), jnp.where(forgets, 0.0, doubt)
+    now = Gap(u, elapsed, weight, lost, doubt)
+    return Sample(u, left, y, missing, first, weights, now)
 
 
 def marked(estimate: PyTree, missing: Bool[Array, ""], kind: type) -> PyTree:
