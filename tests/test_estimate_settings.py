@@ -107,9 +107,19 @@ def test_the_template_of_a_kind_is_the_preset_of_its_plant(capsys, tmp_path, kin
     # Every key of [observer], its comment sign taken away, is a valid one.
     lines = [line.removeprefix("# ") for line in printed.splitlines()[1:]]
     full = [line for line in lines if " = " in line or line.startswith("[")]
-    (tmp_path / "full.toml").write_text("\n".join(full))
+    # Those of the Kalman filter go with its `kind` alone.
+    other = [line for line in full if "with kind =" in line]
+    (tmp_path / "full.toml").write_text("\n".join(x for x in full if x not in other))
     stated = read_machine(tmp_path / "full.toml").observer.model_fields_set
+    stated |= {line.split(" = ")[0] for line in other}
     assert stated == set(KINDS[kind].model_fields["observer"].annotation.model_fields)
+    if other:
+        asked = ['kind = "lifted_kalman"', 'saliency = "neglected"'][
+            : 1 + ("interior" in kind)
+        ]
+        machine = full[: full.index("[observer]") + 1]
+        (tmp_path / "lifted.toml").write_text("\n".join([*machine, *asked, *other]))
+        assert read_machine(tmp_path / "lifted.toml").observer.output_deviation == 0.01
 
 
 def test_a_template_of_no_kind_is_refused(capsys):

@@ -112,6 +112,7 @@ def test_without_noise_it_is_exact_once_the_samples_tell():
     assert found.coasting[:first].all() and not found.coasting[first:].any()
 
 
+@pytest.mark.slow
 def test_an_indefinite_quadratic_form():
     motion = PrescribedBearing(aslo.plants.MagneticBearing.laboratory())
     t = 2e-5 * np.arange(500)
@@ -350,7 +351,7 @@ def whole(belief):
     return belief.mean, U @ jnp.diag(belief.factors.pivots) @ U.T
 
 
-@pytest.mark.parametrize("kind", ["flux", "chain"])
+@pytest.mark.parametrize("kind", [pytest.param("flux", marks=pytest.mark.slow), "chain"])
 def test_continuous_time_is_the_limit_of_short_intervals(kind):
     if kind == "flux":
         relation, (u, y) = FLUX, noisy(4, 1e-6, 1e-5)

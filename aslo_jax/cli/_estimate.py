@@ -39,7 +39,8 @@ rad), sampled at t[k]; SI units throughout.
 Columns out: t and what is estimated; certificate (dimensionless, small where that is not
 observable); coasting (1 where the certificate is below the threshold and the estimate is
 carried along its known derivative); of motors coasting_speed (1 also until a phase-locked
-loop follows the angle, and where it does not); and, where the log has truth, for scoring
+loop follows the angle, and where it does not); of a Kalman filter deviation_* (standard
+deviation of what is estimated); and, where the log has truth, for scoring
 only, error_* (estimate less truth). Angles are unwrapped. By the kind of machine:
 """
 
@@ -94,12 +95,21 @@ def estimate(
         ),
     ] = None,
     substeps: Annotated[
-        int,
+        int | None,
         typer.Option(
             min=1,
-            help="Steps per sampling interval, between which outputs are interpolated.",
+            help="Steps per sampling interval, between which outputs are interpolated; by "
+            "default 4, and 1 for a Kalman filter, which takes samples as they are.",
         ),
-    ] = 4,
+    ] = None,
+    smooth: Annotated[
+        bool,
+        typer.Option(
+            "--smooth",
+            help="Each row from the whole log, later rows too; for an observer.kind of "
+            '"lifted_kalman".',
+        ),
+    ] = False,
     max_gap: MaxGap = None,
     voltage: Annotated[
         str,
@@ -135,7 +145,8 @@ def estimate(
     from ..diagnosis import shift_of
     from ..logs import check_suffix
     from ..machines import MachineError, read_machine
-    from ._running import opened, tabulated
+    from ._running import opened, tabulated, with_noise
+    from ._smoothing import check_length, check_smoothing
 
     given = {"cutoff": cutoff, "pll_bandwidth": pll_bandwidth}
     given = {name: value for name, value in given.items() if value is not None}
@@ -158,6 +169,9 @@ def estimate(
                 f"{_option(name)} is not for {machine}, whose kind is "
                 f'"{description.kind}": {description.refused[name]}.'
             )
+    steps = _substeps(substeps, description, machine)
+    if smooth:
+        check_smoothing(description, str(machine), missing)
     with staged(*outputs.values()) as parts:
         reader, rates = opened(
             log,
@@ -177,18 +191,23 @@ def estimate(
                 remove_offset,
             ),
         )
+        if smooth:
+            check_length(reader)
+        filled, noise = with_noise(reader, description, shift)
         with _progress(reader.t.size, quiet) as progress:
             done = tabulated(
                 reader,
-                description,
+                filled,
                 rates,
-                substeps,
+                steps,
                 parts[0],
                 bool(plot),
                 progress,
                 align=align,
                 shift=shift,
                 keep_outliers=outliers == Outliers.keep,
+                smoothed=smooth,
+                noise=noise,
             )
         if plot:
             from ._figure import save_figure
@@ -205,6 +224,20 @@ def estimate(
             typer.echo(note)
     for _, line, _ in done.findings():
         typer.echo(f"aslo-jax: warning: {line}", err=True)
+
+
+def _substeps(given: int | None, description: Any, path: Path) -> int:
+    from ..machines import MachineError
+    from ..machines._lifted import LIFTED, is_lifted
+
+    if not is_lifted(description.observer):
+        return 4 if given is None else given
+    if given not in (None, 1):
+        raise MachineError(
+            f'--substeps must be 1 for {path}, whose `observer.kind` is "{LIFTED}": '
+            "samples that are interpolated have no noise of their own."
+        )
+    return 1
 
 
 def _option(name: str) -> str:

@@ -7,13 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from ..machines._lifted import is_lifted
 from ._running import Done
 
 
 def summary_of(done: Done) -> dict[str, Any]:
     """`warnings`, a list of `{"kind", "message", "rows"}`; `columns` of the table;
-    `log`, `machine`, `rates` (rad/s), `coasting` by suffix, `quantities` with their figures
-    and `diagnosis`, the figures behind the verdict. What is not finite is null."""
+    `log`, `machine`, `rates` (rad/s), `noise` of a Kalman filter, `coasting` by suffix,
+    `quantities` with their figures and `diagnosis`, the figures behind the verdict. What is
+    not finite is null."""
     summary = done.summary
     reader, machine = summary.reader, summary.machine
     t = reader.t
@@ -33,6 +35,8 @@ def summary_of(done: Done) -> dict[str, Any]:
             },
             "machine": machine.kind,
             "substeps": summary.substeps,
+            "noise": _noise(summary),
+            "smoothed": summary.smoothed,
             "rates": {name: float(rate.value) for name, rate in summary.rates.items()},
             "coasting": {
                 suffix.removeprefix("_"): {
@@ -62,6 +66,15 @@ def _offset(removed: Any) -> dict[str, list[float]] | None:
         return None
     u, i = removed.voltage, removed.current
     return {"voltage": [u.real, u.imag], "current": [i.real, i.imag]}
+
+
+def _noise(summary: Any) -> dict[str, Any]:
+    """The deviations of a Kalman filter, and which of them come from the log."""
+    settings, names = summary.machine.observer, ("output_deviation", "input_deviation")
+    if not is_lifted(settings):
+        return {}
+    values = {name: np.atleast_1d(getattr(settings, name)).tolist() for name in names}
+    return values | {"found": list(summary.noise)}
 
 
 def _figures(done: Done, quantity: Any) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from ..diagnosis import (
 from ..logs import Log, LogReader, TableWriter
 from ..machines import AbstractDescription
 from ..machines._base import Rates
+from ..machines._noise import pooled, white_noise
 from . import _table as table
 from ._summary import Summary
 from ._table import Estimator
@@ -83,6 +84,19 @@ def opened(
     return reader, machine.rates_of(condensed, given)
 
 
+def with_noise(
+    reader: LogReader, machine: AbstractDescription, shift: float = 0.0
+) -> tuple[AbstractDescription, dict[str, str]]:
+    """The machine with the deviations of a log's noise, and where they come from, by key;
+    its inputs moved by `shift` rows."""
+    if not machine.lacks_noise:
+        return machine, {}
+    pairs = [circle.inputs for circle in machine.circles()]
+    pieces = retimed_pieces(reader.pieces(table.PIECE), shift, pairs)
+    groups = machine.noise_groups()
+    return machine.with_noise(pooled([white_noise(x.u, x.y, *groups) for x in pieces]))
+
+
 def tabulated(
     reader: LogReader,
     machine: AbstractDescription,
@@ -95,9 +109,13 @@ def tabulated(
     align: bool = False,
     shift: float = 0.0,
     keep_outliers: bool = False,
+    smoothed: bool = False,
+    noise: Mapping[str, str] | None = None,
 ) -> Done:
     """Write the table of estimates to `out`; `progress` is told of rows as they are done.
     Inputs are moved by `shift` rows, and outliers are left out unless they are kept.
+    `smoothed`: in one piece, each row from the whole log; `noise`: where the deviations
+    come from, by key.
 
     A phase-locked loop starts where its angle is certified. Where it never is, which the
     end of the log tells, the loop starts in the first row: the log is run again. So it is
@@ -105,16 +123,17 @@ def tabulated(
     first, offsets, again = None, dict[str, float](), False
     names: tuple[str, ...] = ()
     while True:
-        summary = Summary(reader, machine, rates, substeps)
+        summary = Summary(reader, machine, rates, substeps, noise, smoothed)
         summary.offsets = offsets
         trace = Trace(machine, reader.t.size)
         motions: dict[str, Motion] = {}
         truths: dict[str, Truth] = {}
         diagnosing = Diagnosing(machine.circles(), reader.t.size, reader.interval)
-        estimator = Estimator(machine, rates, reader.t, substeps, first, offsets)
+        estimator = Estimator(machine, rates, reader.t, substeps, first, offsets, smoothed)
+        rows = reader.t.size if smoothed else table.PIECE
         with TableWriter(out) as writer:
             pairs = [circle.inputs for circle in machine.circles()]
-            for log in retimed_pieces(reader.pieces(table.PIECE), shift, pairs):
+            for log in retimed_pieces(reader.pieces(rows), shift, pairs):
                 suspect = diagnosing.add(log)
                 if keep_outliers:
                     suspect = suspect.without_outliers()

@@ -1,7 +1,7 @@
 """What `aslo-jax estimate` says of a log: figures of the estimates, and warnings."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +10,7 @@ from ..diagnosis import of_stamps
 from ..logs import LogReader
 from ..machines import AbstractDescription, Quantity
 from ..machines._base import Rates, relative
+from ..machines._lifted import is_lifted, limit_of, said_of
 from ._table import Piece
 
 
@@ -70,8 +71,15 @@ class Summary:
     """
 
     def __init__(
-        self, reader: LogReader, machine: AbstractDescription, rates: Rates, substeps: int
+        self,
+        reader: LogReader,
+        machine: AbstractDescription,
+        rates: Rates,
+        substeps: int,
+        noise: Mapping[str, str] | None = None,
+        smoothed: bool = False,
     ) -> None:
+        self.noise, self.smoothed = noise or {}, smoothed
         self.reader, self.machine = reader, machine
         self.rates, self.substeps = rates, substeps
         self.interval = reader.interval
@@ -97,7 +105,10 @@ class Summary:
 
     def _settled(self, start: float) -> float:
         loops = [self.rates[k].value for k in ("gain", "pll_bandwidth") if k in self.rates]
-        rate = min(loops) if loops else max(rate.value for rate in self.rates.values())
+        every = [rate.value for rate in self.rates.values()]
+        if not every:  # a Kalman filter that no loop follows has nothing to forget
+            return start
+        rate = min(loops) if loops else max(every)
         after = start + 10.0 / rate
         return after if self.reader.t[-1] >= after else start
 
@@ -132,13 +143,18 @@ class Summary:
         yield from self.reader.said
         if signals.optional and not self.reader.optional:
             yield f"not in the log, taken as zero: {', '.join(signals.optional)}"
-        names = [getattr(settings, key, "") for key in ("saliency", "completion")]
+        keys = ["saliency", "kind" if is_lifted(settings) else "completion"]
+        names = [name for key in keys if (name := getattr(settings, key, ""))]
+        if not is_lifted(settings):
+            names.append(f"{getattr(settings, 'start', 'exact')} start")
         yield (
-            f"observer for {self.machine.kind}: {''.join(f'{n}, ' for n in names if n)}"
-            f"{getattr(settings, 'start', 'exact')} start, threshold "
-            f"{settings.threshold:g}, {self.substeps} substep"
+            f"observer for {self.machine.kind}: {', '.join(names)}, threshold "
+            f"{limit_of(settings):g}, {self.substeps} substep"
             + ("s" if self.substeps > 1 else "")
+            + (", smoothed over the whole log" if self.smoothed else "")
         )
+        if is_lifted(settings):
+            yield from said_of(settings, ("A", "V"), self.noise)
         for name, (rate, reason) in self.rates.items():
             yield f"  {name} {rate:.4g} rad/s" + (f" ({reason})" if reason else "")
         for suffix, rows in self.coasting.items():

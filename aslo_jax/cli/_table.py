@@ -10,12 +10,20 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from .._replay import common_interval, run_log
+from .._smooth import smooth
 from .._typing import Engine
 from ..diagnosis import Rows, absent_rows, bridged, touched
 from ..logs import Log
 from ..machines import AbstractDescription
 from ..machines._base import Columns, Rates
-from ..observers import AbstractObserver, ObserverState, PhaseLockedLoop
+from ..machines._lifted import is_lifted
+from ..observers import (
+    AbstractObserver,
+    Lifted,
+    ObserverState,
+    PhaseLockedLoop,
+    SideBySide,
+)
 from ..observers._pll import lagless
 
 PIECE = 50_000  # rows replayed at once
@@ -107,12 +115,30 @@ class Replayed:
         return jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
 
+class Smoothed(Replayed):
+    """As [`Replayed`][] with every estimate from the whole of its piece, by [`smooth`][]:
+    of a [`Lifted`][], or of several side by side."""
+
+    def __call__(
+        self,
+        t: Float[np.ndarray, " N"],
+        u: Float[np.ndarray, "N ..."],
+        y: Float[np.ndarray, "N ..."],
+    ) -> Any:
+        observer = self.observer
+        each = observer.observers if isinstance(observer, SideBySide) else observer
+        leaf = lambda x: isinstance(x, Lifted)
+        done = jax.tree.map(lambda one: smooth(one, t, u, y), each, is_leaf=leaf)
+        return jax.tree.map(np.asarray, done)
+
+
 class Estimator:
     """The observer of a machine over a log, and a phase-locked loop for every quantity that
     tracks an angle.
 
     - `t`: every instant of the log (s), whose pieces come in order;
     - `first`: the row in which the loops start, by default the first certified one;
+    - `smoothed`: whether it also looks ahead, in a log that comes in one piece;
     - `offsets`: what is taken from the errors of angles (rad), by column;
     - `starts`: by suffix, the first certified row, once there is one.
     """
@@ -125,11 +151,13 @@ class Estimator:
         substeps: int = 4,
         first: int | None = None,
         offsets: Mapping[str, float] | None = None,
+        smoothed: bool = False,
     ) -> None:
         self.machine, self.starts = machine, dict[str, int]()
         self.offsets = offsets or {}
         interval = common_interval(t)
-        self.observed = Replayed(machine.state_observer(rates), interval, substeps)
+        replayed = Smoothed if smoothed else Replayed
+        self.observed = replayed(machine.state_observer(rates), interval, substeps)
         self._tracked = [q for q in machine.quantities if q.tracks is not None]
         bandwidth = rates["pll_bandwidth"].value if self._tracked else 0.0
         self._bandwidth = bandwidth
@@ -233,6 +261,7 @@ class Estimator:
         names += [f"certificate{suffix}" for suffix in suffixes]
         names += [f"coasting{suffix}" for suffix in suffixes]
         names += [f"coasting_{quantity.name}" for quantity in self._tracked]
+        names += [name for name in found if name.startswith("deviation_")]
         columns = {"t": t} | {name: found[name] for name in names}
         angles = [q.columns[0] for q in quantities if q.angle]
         for name, true in truth.items():
@@ -273,6 +302,8 @@ def estimate_log(
     log: Log, machine: AbstractDescription, rates: Rates, substeps: int = 4
 ) -> Columns:
     """The table of estimates of a log in memory, by an [`Estimator`][]."""
+    machine = machine.with_noise_of(log)
+    substeps = 1 if is_lifted(machine.observer) else substeps
     estimator = Estimator(machine, rates, log.t, substeps)
     columns = estimator(log).columns
     if estimator.complete:

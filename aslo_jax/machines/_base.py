@@ -18,6 +18,8 @@ from ..logs import Log, Signals
 from ..observers import AbstractObserver, AlgebraicObserver, Asymptotic
 from ..plants import AbstractPlant
 from ..schema import Table, is_rate
+from ._lifted import NO_EFFECT, is_lifted, no_effect
+from ._noise import Groups, Noise, white_noise
 from ._study import Study
 
 Columns = dict[str, np.ndarray]
@@ -230,6 +232,43 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         then those of the file, then the defaults, for which a cutoff may need the `log`."""
         return self.rates_of(None if log is None else self.condensed(log), given)
 
+    def noise_groups(self) -> tuple[Groups, Groups]:
+        """Which entries of u, and of y, have noise of one deviation; by default all."""
+        of = self.signals
+        inputs = range(len(of.inputs) + len(of.optional))
+        return (tuple(inputs),), (tuple(range(len(of.outputs))),)
+
+    @property
+    def lacks_noise(self) -> bool:
+        """Whether its observer is a Kalman filter and the file leaves it to the log which
+        deviations the noise has."""
+        names = ("output_deviation", "input_deviation")
+        unknown = any(getattr(self.observer, name, 0.0) is None for name in names)
+        return is_lifted(self.observer) and unknown
+
+    def with_noise(
+        self, found: Noise
+    ) -> tuple["AbstractDescription[M, O]", dict[str, str]]:
+        """The same with deviations `found` in the log where the file has none; and why
+        each, by its key."""
+        least = "the least that is taken for noise, a thousandth of the rms or a step"
+        reasons, filled = {}, {}
+        for name, values, is_least in (
+            ("output_deviation", found.output, found.least_output),
+            ("input_deviation", found.input, found.least_input),
+        ):
+            if getattr(self.observer, name) is None:
+                filled[name] = [float(x) for x in values]
+                reasons[name] = f"found from the log{f': {least}' if is_least else ''}"
+        observer = self.observer.model_copy(update=filled)
+        return self.model_copy(update={"observer": observer}), reasons
+
+    def with_noise_of(self, log: Log) -> "AbstractDescription[M, O]":
+        """[`AbstractDescription.with_noise`][] of a log in memory, where that lacks."""
+        if not self.lacks_noise:
+            return self
+        return self.with_noise(white_noise(log.u, log.y, *self.noise_groups()))[0]
+
     def stated(self, given: Mapping[str, float] | None = None) -> dict[str, float]:
         """The rates that are `given` (rad/s) or in the file, by their keys."""
         given = {} if given is None else given
@@ -240,6 +279,8 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
                 raise MachineError(
                     f'`{name}` is not for a machine of the kind "{self.kind}": {reason}.'
                 )
+            if is_lifted(self.observer) and name in NO_EFFECT:
+                raise MachineError(no_effect(name).replace("observer.", "", 1) + ".")
         in_file = {k: getattr(self.observer, k) for k in known}
         return {k: v for k, v in (in_file | dict(given)).items() if v is not None}
 
@@ -255,7 +296,9 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         """[`AbstractDescription.rates`][] of a log that is `condensed`."""
         stated = self.stated(given)
         chosen = self.default_rates(condensed, stated)
-        if "cutoff" not in stated | chosen:
+        if is_lifted(self.observer):
+            chosen = {k: rate for k, rate in chosen.items() if k not in NO_EFFECT}
+        elif "cutoff" not in stated | chosen:
             raise MachineError(
                 "Argument `log` must be given where neither `given` nor `[observer]` has "
                 "a `cutoff`: it is then chosen for the log."
@@ -273,12 +316,15 @@ def algebraic(
     completion: CompletionName = "least-squares",
     start: FilterStart = "exact",
     gain: Rate | None = None,
+    forgetting: Rate | None = None,
 ) -> AbstractObserver:
-    """The ASLO with a filter of `cutoff` (rad/s), or with a `gain` (rad/s) the A-ASLO."""
+    """The ASLO with a filter of `cutoff` (rad/s), or with a `gain` (rad/s) the A-ASLO; the
+    least squares forget at the rate `forgetting` (rad/s), by default the cutoff."""
+    rate = None if forgetting is None else LowPass(forgetting.value)
     observer = AlgebraicObserver(
         relation,
         LowPass(cutoff),
-        completion=LeastSquares() if completion == "least-squares" else Repeat(),
+        completion=LeastSquares(rate) if completion == "least-squares" else Repeat(),
         guard=Guard(threshold=threshold),
         start=start,
     )

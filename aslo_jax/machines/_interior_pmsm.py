@@ -15,7 +15,7 @@ from ..logs import Log
 from ..observers import AbstractObserver, SelfConsistent
 from ..plants import InteriorPMSM, SalientFluxRelation
 from ..schema import Positive, Table, Whole, key
-from . import _keys as keys, motor
+from . import _keys as keys, _lifted, motor
 from ._base import (
     AbstractDescription,
     Columns,
@@ -26,6 +26,7 @@ from ._base import (
     Unknowns,
     algebraic,
 )
+from ._lifted import LIFTED, ObserverTable, is_lifted, lifted
 
 
 class InteriorPMSMTable(Table):
@@ -45,7 +46,7 @@ class InteriorPMSMTable(Table):
     inertia: Positive = key("inertia of the rotor", "kg m^2", example=0.015)
 
 
-class InteriorPMSMObserver(Table):
+class InteriorPMSMObserver(ObserverTable):
     """`[observer]` of an interior PMSM, all optional.
 
     - `saliency = "self-consistent"` takes the d current from the observer's own estimate
@@ -65,6 +66,10 @@ class InteriorPMSMObserver(Table):
     gain: Positive | None = keys.gain('the cutoff, with saliency = "neglected" none')
     threshold: Positive = keys.threshold()
     pll_bandwidth: Positive | None = keys.pll_bandwidth()
+    kind: _lifted.ObserverKind = _lifted.kind_key()
+    output_deviation: _lifted.Deviation | None = _lifted.deviation_key("currents", 0.01)
+    input_deviation: _lifted.Deviation | None = _lifted.deviation_key("voltages", 0.1)
+    prior: Positive | None = _lifted.prior_key(0.5)
 
 
 class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMSMObserver]):
@@ -93,6 +98,12 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
     def _agree(self):
         if self.observer.saliency == "neglected":
             return self
+        if is_lifted(self.observer):
+            raise ValueError(
+                f'`observer.kind = "{LIFTED}"` needs `observer.saliency = "neglected"`, '
+                'but it is "self-consistent" (the default), whose relation depends on '
+                "the estimate; set it"
+            )
         if self.machine.magnet_flux is None:
             raise ValueError(
                 "`machine.magnet_flux`, magnet flux, amplitude (Wb), is missing, which "
@@ -127,7 +138,10 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
         return motor.driving(log, self.machine.resistance)
 
     def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
-        settings, cutoff = self.observer, rates["cutoff"].value
+        settings = self.observer
+        if is_lifted(settings):
+            return lifted(self._salient(), settings)
+        cutoff = rates["cutoff"].value
         if settings.saliency == "self-consistent":
             least_squares = settings.completion == "least-squares"
             return SelfConsistent(
@@ -139,13 +153,8 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
                 guard=Guard(threshold=settings.threshold),
                 forget=True,
             )
-        relation = SalientFluxRelation(
-            self.machine.resistance,
-            self.machine.direct_inductance,
-            self.machine.quadrature_inductance,
-        )
         return algebraic(
-            relation,
+            self._salient(),
             cutoff,
             threshold=settings.threshold,
             completion=settings.completion,
@@ -153,9 +162,17 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
             gain=rates.get("gain"),
         )
 
+    def _salient(self) -> SalientFluxRelation:
+        return SalientFluxRelation(
+            self.machine.resistance,
+            self.machine.direct_inductance,
+            self.machine.quadrature_inductance,
+        )
+
     def columns(self, estimate: Any, log: Log) -> Columns:
-        active = np.asarray(estimate.value) - self.machine.quadrature_inductance * log.y
-        return motor.motor_columns(estimate, active)
+        inductance = self.machine.quadrature_inductance
+        active = np.asarray(estimate.value) - inductance * log.y
+        return motor.motor_columns(estimate, active, inductance, self.observer)
 
     def truth(self, log: Log) -> Columns:
         return motor.motor_truth(log, self.machine.pole_pairs)

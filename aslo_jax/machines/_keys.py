@@ -13,6 +13,11 @@ def cutoff(default: str = "from the log", example: float = 150.0) -> Any:
     return key(text, "rad/s", default=None, example=example)
 
 
+def forgetting() -> Any:
+    text = "rate at which the least squares forget, by default that of the filter"
+    return key(f"{text}, or for the noise of the log", "rad/s", default=None, example=80.0)
+
+
 def completion() -> Any:
     return key("from one row to two", default="least-squares")
 

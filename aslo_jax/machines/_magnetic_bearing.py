@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from .._filters import LowPass
 from .._guard import Guard
@@ -12,7 +12,7 @@ from ..logs import Log, Signals
 from ..observers import AbstractObserver, AlgebraicObserver, BearingObserver
 from ..plants import MagneticBearing
 from ..schema import NoLoad, Numbers, Positive, Table, WaveTable, key
-from . import _keys as keys, offers
+from . import _keys as keys, _lifted, offers
 from ._base import (
     AbstractDescription,
     Columns,
@@ -25,6 +25,7 @@ from ._base import (
     in_columns,
     relative,
 )
+from ._lifted import ObserverTable, is_lifted, lifted
 from ._study import Study
 
 # A body at rest shows nothing: the cutoff is below the frequencies at which one moves. With
@@ -56,7 +57,7 @@ class MagneticBearingTable(Table):
     mass: Positive = key("mass of the body", "kg", example=1.0)
 
 
-class MagneticBearingObserver(Table):
+class MagneticBearingObserver(ObserverTable):
     """`[observer]` of a magnetic bearing, all optional. The default `threshold` suits
     signals with errors of about 1 %; that of a motor is more than small motions reach."""
 
@@ -73,6 +74,20 @@ class MagneticBearingObserver(Table):
         because='the determinant of "repeat" changes sign as the body moves',
     )
     threshold: Positive = keys.threshold(THRESHOLD)
+    kind: _lifted.ObserverKind = _lifted.kind_key()
+    output_deviation: _lifted.Deviation | None = _lifted.deviation_key("currents", 0.01)
+    input_deviation: _lifted.Deviation | None = _lifted.deviation_key("voltages", 0.1)
+    prior: Positive | None = _lifted.prior_key(0.01)
+
+    @model_validator(mode="after")
+    def _begins(self):
+        if is_lifted(self) and self.prior is None:
+            raise ValueError(
+                '`observer.prior` must be given with `observer.kind = "lifted_kalman"` of '
+                "a magnetic bearing, whose filter finds the fluxes late without: about "
+                "force_constant/(2 gap) times the current (Wb)"
+            )
+        return self
 
 
 class BearingStart(Table):
@@ -162,11 +177,15 @@ class MagneticBearingDescription(
         return {name: rate for name, rate in defaults.items() if name not in stated}
 
     def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
+        velocity = LowPass(rates["velocity_cutoff"].value)
+        if is_lifted(self.observer):
+            flux = lifted(self.plant().flux_relation(), self.observer)
+            return BearingObserver(flux, velocity, Guard(THRESHOLD))
         guard = Guard(threshold=self.observer.threshold)
         flux = AlgebraicObserver(
             self.plant().flux_relation(), LowPass(rates["cutoff"].value), guard=guard
         )
-        return BearingObserver(flux, LowPass(rates["velocity_cutoff"].value), guard)
+        return BearingObserver(flux, velocity, guard)
 
     def columns(self, estimate: Any, log: Log) -> Columns:
         names = (*FLUX, "position", "velocity")

@@ -7,6 +7,9 @@ from jaxtyping import Float
 
 PIECE = 64 << 14  # rows
 WINDOW = 0.02  # s
+TURN = 2.0  # rad, in the memory of a filter
+SHARE = 0.05  # of a log, in which it may be less
+SLOWEST = 40.0  # times slower than the typical speed: the least a memory is made for
 MINIMUM_CUTOFF = 5.0  # rad/s, what a log of a machine at rest gets
 
 
@@ -84,3 +87,44 @@ def cutoff_for(speed: float) -> float:
     """A cutoff (rad/s) for a typical electrical `speed` (rad/s): `speed / sqrt(3)`, where
     the paper's determinant is largest, and at least 5 rad/s (theory, section 9)."""
     return max(speed / math.sqrt(3.0), MINIMUM_CUTOFF)
+
+
+def slow_speed(
+    t: Float[np.ndarray, " N"], v: Float[np.ndarray, "N 2"], magnet_flux: float
+) -> float:
+    """The electrical speed (rad/s), unsigned, that a memory has to suit, of v (V), the
+    derivative of the flux, and the magnet flux (Wb): `|v|` over that one. Of a log that
+    turns steadily it is that speed; one with a slow part has less, so that nearly always a
+    memory holds a turn of it; but at least a fortieth of the median: a log may well
+    have rests, in which no memory helps."""
+    interval, size, speed = float(np.median(np.diff(t))), 1, 0.0
+    means = np.zeros(0)
+    for _ in range(8):  # against noise, over blocks in which the flux turns by 0.25 rad
+        means = np.linalg.norm(_blocks(v, size), axis=1) / magnet_flux
+        speed = float(np.median(means))
+        wider = 0.25 / max(speed * interval, 1e-9)
+        previous, size = size, int(np.clip(wider, size, max(t.size // 64, 1)))
+        if size == previous:
+            break
+    if speed <= 0.0 or means.size < 16:
+        return speed
+    step = interval * t.size / means.size
+    turns = np.concatenate([[0.0], np.cumsum(means)]) * step
+    low, high = 1.0 / SLOWEST, 1.0
+    for _ in range(12):
+        middle = (low * high) ** 0.5
+        rows = int(np.ceil(TURN / (middle * speed * step)))
+        too_long = rows > means.size // 2
+        if too_long or np.quantile(turns[rows:] - turns[:-rows], SHARE) < 0.8 * TURN:
+            high = middle
+        else:
+            low = middle
+    return low * speed
+
+
+def two_rates(speed: float, drift: float) -> tuple[float, float]:
+    """Cutoff and forgetting (rad/s) for a log with noise, of the [`slow_speed`][] `speed`
+    and the `drift` (rad/s): the rate of the Kalman filter that sees of the flux, a random
+    walk, half. Fitted on six motors."""
+    speed = max(speed, MINIMUM_CUTOFF)
+    return speed / 15.0, 1.6 * speed * drift / (speed + drift)

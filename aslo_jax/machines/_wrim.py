@@ -12,7 +12,7 @@ from ..logs import Log, Signals
 from ..observers import AbstractObserver, SideBySide
 from ..plants import WRIM, WindingFluxRelation
 from ..schema import Positive, Table, Whole, key
-from . import _keys as keys, motor, offers
+from . import _keys as keys, _lifted, motor, offers
 from ._base import (
     AbstractDescription,
     Columns,
@@ -27,6 +27,7 @@ from ._base import (
     length,
     relative,
 )
+from ._lifted import ObserverTable, deviations_of, is_lifted, lifted
 from ._speed import cutoff_for, turning_speed
 from ._study import Study
 
@@ -59,7 +60,7 @@ class WRIMTable(Table):
         return self
 
 
-class WRIMObserver(Table):
+class WRIMObserver(ObserverTable):
     """`[observer]` of a wound-rotor induction machine, all optional.
 
     Fluxes turn at the frequency of the supply in the stator's frame and at that of the slip
@@ -77,6 +78,10 @@ class WRIMObserver(Table):
     start: keys.Start = keys.start()
     gain: Positive | None = keys.gain()
     threshold: Positive = keys.threshold()
+    kind: _lifted.ObserverKind = _lifted.kind_key()
+    output_deviation: _lifted.Deviation | None = _lifted.deviation_key("currents", 0.01)
+    input_deviation: _lifted.Deviation | None = _lifted.deviation_key("voltages", 0.1)
+    prior: Positive | None = _lifted.prior_key(1.0)
 
 
 def _relations(machine: WRIM) -> tuple[WindingFluxRelation, WindingFluxRelation]:
@@ -149,6 +154,9 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
             rates["rotor_cutoff"] = Rate(cutoff_for(rotor), why(f"{rotor:.4g}"))
         return rates
 
+    def noise_groups(self):
+        return ((0, 1), (2, 3)), ((0, 1), (2, 3))
+
     def condensed(self, log: Log) -> Log:
         R_s, R_r = self.machine.stator_resistance, self.machine.rotor_resistance
         v = -np.repeat([R_s, R_r], 2) * log.y
@@ -157,6 +165,11 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
 
     def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         settings, plant = self.observer, self.plant()
+        if is_lifted(settings):
+            stator, rotor = _relations(plant)
+            return SideBySide(
+                {"stator": lifted(stator, settings), "rotor": lifted(rotor, settings)}
+            )
 
         def observer(winding, cutoff):
             return algebraic(
@@ -175,7 +188,8 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
     def columns(self, estimate: Any, log: Log) -> Columns:
         stator, rotor = estimate["stator"], estimate["rotor"]
         fluxes = in_columns(STATOR, stator.value) | in_columns(ROTOR, rotor.value)
-        return fluxes | certified(stator, "_s") | certified(rotor, "_r")
+        known = deviations_of(STATOR, stator) | deviations_of(ROTOR, rotor)
+        return fluxes | certified(stator, "_s") | certified(rotor, "_r") | known
 
     def truth(self, log: Log) -> Columns:
         return log.truth

@@ -7,12 +7,13 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Float
+from pydantic import model_validator
 
 from ..logs import Log, Signals
 from ..observers import AbstractObserver
 from ..plants import AbstractRoundMachine
 from ..schema import NoLoad, NonNegative, Numbers, Positive, Table, WaveTable, key
-from . import _keys as keys
+from . import _keys as keys, _lifted
 from ._base import (
     AbstractDescription,
     Columns,
@@ -25,7 +26,9 @@ from ._base import (
     certified,
     in_columns,
 )
-from ._speed import cutoff_for, turning_acceleration, turning_speed
+from ._lifted import ObserverTable, deviations_of, is_lifted, lifted, turning_deviation
+from ._noise import white_noise
+from ._speed import cutoff_for, slow_speed, turning_acceleration, turning_speed, two_rates
 
 PLL_BANDWIDTH = 100.0  # rad/s, unless the log accelerates fast
 LAG = 0.3  # rad: what the angle of a loop may lag by at the acceleration of the log
@@ -43,7 +46,7 @@ LAYOUT = Layout(
 )
 
 
-class MotorObserver(Table):
+class MotorObserver(ObserverTable):
     """`[observer]` of a motor without saliency, all optional.
 
     The default `threshold` suits signals with errors of about 3 % or less, which includes
@@ -57,6 +60,20 @@ class MotorObserver(Table):
     gain: Positive | None = keys.gain()
     threshold: Positive = keys.threshold()
     pll_bandwidth: Positive | None = keys.pll_bandwidth()
+    kind: _lifted.ObserverKind = _lifted.kind_key()
+    output_deviation: _lifted.Deviation | None = _lifted.deviation_key("currents", 0.01)
+    input_deviation: _lifted.Deviation | None = _lifted.deviation_key("voltages", 0.1)
+    prior: Positive | None = _lifted.prior_key(0.2)
+    forgetting: Positive | None = keys.forgetting()
+
+    @model_validator(mode="after")
+    def _forgets(self):
+        if self.forgetting is not None and self.completion == "repeat":
+            raise ValueError(
+                '`observer.forgetting` is for `observer.completion = "least-squares"`; '
+                "remove it"
+            )
+        return self
 
 
 class RotorStart(Table):
@@ -124,10 +141,18 @@ def _bandwidth(log: Log | None, fastest: float) -> Rate:
     return Rate(min(wanted, fastest), why)
 
 
-def motor_columns(estimate: Any, magnet: Float[np.ndarray, "N 2"]) -> Columns:
-    """The columns of a motor whose magnet, or active flux, is `magnet` (Wb)."""
+def motor_columns(
+    estimate: Any, magnet: Float[np.ndarray, "N 2"], inductance: float, settings: Any
+) -> Columns:
+    """The columns of a motor whose magnet, or active flux, is `magnet` (Wb), the flux less
+    `inductance` times the current."""
     angle = np.unwrap(np.arctan2(magnet[:, 1], magnet[:, 0]))
-    return in_columns(FLUX, estimate.value) | {ANGLE: angle} | certified(estimate)
+    found = in_columns(FLUX, estimate.value) | {ANGLE: angle} | certified(estimate)
+    if estimate.covariance is None:
+        return found
+    noise = inductance * np.asarray(settings.output_deviation)
+    deviation = turning_deviation(estimate, magnet, noise)
+    return found | deviations_of(FLUX, estimate) | {f"deviation_{ANGLE}": deviation}
 
 
 def motor_truth(log: Log, pole_pairs: int) -> Columns:
@@ -164,25 +189,51 @@ class AbstractRoundMotor(AbstractDescription[M, MotorObserver], abc.ABC, Generic
         """The motor described by `[machine]`."""
 
     def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
-        return motor_rates(log, stated)
+        if log is None:
+            return motor_rates(log, stated)
+        driven = driving(log, self._values().resistance)
+        rates = motor_rates(driven, stated)
+        return rates | self._two_rates(log, driven, stated)
 
     def condensed(self, log: Log) -> Log:
-        return driving(log, self._values().resistance)
+        return Log(log.t, log.u, log.y, {})
+
+    def _two_rates(self, log: Log, driven: Log, stated: Mapping[str, float]) -> Rates:
+        """Cutoff and forgetting for a log with noise, where they are left to it."""
+        settings = self.observer
+        plain = settings.completion == "least-squares" and settings.start == "exact"
+        if not plain or {"cutoff", "forgetting", "gain"} & stated.keys():
+            return {}
+        found = white_noise(log.u, log.y, *self.noise_groups())
+        if found.least_output:  # what sampling leaves wants other rates than noise does
+            return {}
+        values, (of_y, of_u) = self._values(), (found.output[0], found.input[0])
+        seen = 2.0**0.5 * values.inductance * of_y
+        drift = float(np.hypot(of_u, values.resistance * of_y) / seen)
+        speed = slow_speed(driven.t, driven.u, float(self.plant().magnet_flux))
+        cutoff, forgetting = two_rates(speed, drift)
+        why = f"for {speed:.4g} rad/s, and noise of {of_y:.2g} A and {of_u:.2g} V"
+        return {"cutoff": Rate(cutoff, why), "forgetting": Rate(forgetting, why)}
 
     def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         settings = self.observer
+        relation = self.plant().flux_relation()
+        if is_lifted(settings):
+            return lifted(relation, settings)
         return algebraic(
-            self.plant().flux_relation(),
+            relation,
             rates["cutoff"].value,
             threshold=settings.threshold,
             completion=settings.completion,
             start=settings.start,
             gain=rates.get("gain"),
+            forgetting=rates.get("forgetting"),
         )
 
     def columns(self, estimate: Any, log: Log) -> Columns:
-        magnet = np.asarray(estimate.value) - self._values().inductance * log.y
-        return motor_columns(estimate, magnet)
+        inductance = self._values().inductance
+        magnet = np.asarray(estimate.value) - inductance * log.y
+        return motor_columns(estimate, magnet, inductance, self.observer)
 
     def truth(self, log: Log) -> Columns:
         return motor_truth(log, self._values().pole_pairs)

@@ -12,6 +12,7 @@ from .._typing import PyTree
 from ..plants import BearingFluxRelation
 from ._algebraic import AlgebraicObserver
 from ._base import AbstractObserver, Estimate
+from ._lifted import Lifted
 
 __all__ = ["BearingObserver"]
 
@@ -22,7 +23,8 @@ class BearingObserver(AbstractObserver):
     `(psi1, psi2, q, q')`, the hidden part of [`MagneticBearing`][].
 
     - `flux`: the guarded observer of the fluxes, with a [`BearingFluxRelation`][]; use
-      `LeastSquares`, since the determinant of `Repeat` changes sign in motion;
+      `LeastSquares`, since the determinant of `Repeat` changes sign in motion, or a
+      [`Lifted`][];
     - `filter`: of the velocity, its rate in rad/s;
     - `guard`: of the velocity; `None` returns the raw solution.
 
@@ -41,7 +43,7 @@ class BearingObserver(AbstractObserver):
     **Raises:** `ValueError` for a `flux` observer of another relation, or without a guard.
     """
 
-    flux: AlgebraicObserver
+    flux: AlgebraicObserver | Lifted
     filter: LowPass
     guard: Guard | None = eqx.field(default_factory=Guard)
 
@@ -64,7 +66,10 @@ class BearingObserver(AbstractObserver):
         flux = self.flux(F.scope("flux"), u, y)
         q = relation.position(flux.value, y)
         # As for the guard's memory: rounding has become small where trust begins.
-        trust = F.trust * guard.trust(flux.certificate, widening=1e6)
+        trust = guard.trust(flux.certificate, widening=1e6)
+        if isinstance(self.flux, Lifted):  # whose certificate is hardly above its threshold
+            trust = trust / guard.trust(jnp.ones_like(trust), widening=1e6)
+        trust = F.trust * trust
         F = F.using(self.filter, "exact").scope("velocity")
         e, toward = F.hidden(F.inject(trust), "weight"), F.inject(trust)
         w, w_rate = e * e, 2.0 * e * self.filter.flow(e, toward)

@@ -17,7 +17,7 @@ def _line(name: str, field: Any, prefix: str) -> str:
     choices = get_args(field.annotation) if is_choice else ()
     others = [f'"{choice}"' for choice in choices if choice != field.default]
     comment = field.description
-    if name == "kind":
+    if name == "kind" and len(choices) < 2:
         return f"{prefix}{name} = {value}"
     if others:
         comment += f"; or {', '.join(others)}"
