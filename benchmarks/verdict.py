@@ -22,7 +22,7 @@ ROUND = ("stepper",)  # machines without three phases
 def main() -> list[str]:
     """Prints the tables; what is out of bounds."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-    import motor_logs as logs
+    import motor_logs as logs  # pyright: ignore[reportMissingImports]
 
     right = collections.Counter(_right(logs))
     wrong: dict[str, collections.Counter] = collections.defaultdict(collections.Counter)

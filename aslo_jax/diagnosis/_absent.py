@@ -15,7 +15,7 @@ TURN = 0.4  # rad: over holes in which a signal turns by less a straight line wi
 
 def absent_rows(log: Log) -> Bool[np.ndarray, " N"]:
     """Which rows of a log have a sample that is not finite."""
-    return ~(np.isfinite(log.u).all(axis=1) & np.isfinite(log.y).all(axis=1))
+    return ~np.asarray(np.isfinite(log.u).all(axis=1) & np.isfinite(log.y).all(axis=1))
 
 
 def beside_holes(log: Log, absent: Bool[np.ndarray, " N"]) -> Int[np.ndarray, " k"]:

@@ -1,5 +1,8 @@
 """The hypotheses that are tried on a log of a turning flux."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from ._circle import Circle
@@ -64,8 +67,17 @@ def _axes() -> list[Hypothesis]:
     ]
 
 
+def _maps(signals: Sequence[str], factor: float) -> Any:
+    """The same scale of some signals."""
+    return dict.fromkeys(signals, _scaled(factor))
+
+
+def _free(*signals: Any) -> Any:
+    return signals
+
+
 def _units() -> list[Hypothesis]:
-    found = []
+    found: list[Hypothesis] = []
     for signal, names, unit in (("current", "currents", "A"), ("voltage", "voltages", "V")):
         for factor, prefix in ((1e3, "m"), (1e-3, "k"), (1e6, "u")):
             found.append(
@@ -74,7 +86,7 @@ def _units() -> list[Hypothesis]:
                     f"the {names} are in {prefix}{unit}, not in {unit}",
                     f"divide the {names} by {factor:g}",
                     plain=4,
-                    **{signal: _scaled(factor)},
+                    **_maps((signal,), factor),
                 )
             )
         found.append(
@@ -82,7 +94,7 @@ def _units() -> list[Hypothesis]:
                 f"{signal}_scale",
                 f"the {names} are {{0}} (per unit, counts of a converter, peak or rms?)",
                 f"check the scale of the {names}",
-                free=(signal,),
+                free=_free(signal),
                 starts=SCALES,
                 plain=1,
             )
@@ -235,7 +247,7 @@ def _three_phases() -> list[Hypothesis]:
                 f"the {names} are in the power-invariant frame",
                 f"divide the {names} by sqrt(3/2) = 1.2247",
                 plain=3,
-                **dict.fromkeys(signals, _scaled(INVARIANT)),
+                **_maps(signals, INVARIANT),
             )
         )
     for degrees in (60, 120, -60, -120):

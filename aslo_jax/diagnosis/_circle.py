@@ -60,6 +60,6 @@ class Circle:
         """The direction in which dead time acts against the currents `y`: what one volt of
         it takes off the voltage (dimensionless)."""
         if self.phases == 2:
-            return np.sign(y.real) + 1j * np.sign(y.imag)
-        signs = np.sign((y[:, None] * PHASES.conj()).real)
+            return np.sign(np.real(y)) + 1j * np.sign(np.imag(y))
+        signs = np.sign(np.real(y[:, None] * PHASES.conj()))
         return 2.0 / 3.0 * signs @ PHASES

@@ -54,7 +54,7 @@ def _bridged(
     """Straight lines over some rows; samples that are missing remain so."""
     if not rows.size:
         return x
-    good = np.isfinite(x).all(axis=1)
+    good = np.asarray(np.isfinite(x).all(axis=1))
     absent = ~good
     good[rows] = False
     if not good.any():

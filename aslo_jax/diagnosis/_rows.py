@@ -1,6 +1,7 @@
 """Single rows of a log that cannot be right: outliers, and places where rows are lost."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
@@ -155,7 +156,7 @@ def _partner(error, after, place) -> int | None:
     return None
 
 
-def _jumps(y, place: int, partner: int, leap: complex) -> bool:
+def _jumps(y: Any, place: int, partner: int, leap: Any) -> bool:
     """Whether the current really leaves its neighbours by `leap` between two steps."""
     if partner + 1 >= y.size:
         return False
@@ -163,7 +164,7 @@ def _jumps(y, place: int, partner: int, leap: complex) -> bool:
     return bool(abs(inside - leap) < 0.3 * abs(leap))
 
 
-def _stands_out(u, place: int, leap: complex) -> bool:
+def _stands_out(u: Any, place: int, leap: Any) -> bool:
     if not 0 < place < u.size - 1:
         return False
     own = u[place] - 0.5 * (u[place - 1] + u[place + 1])
@@ -175,7 +176,7 @@ def _pulses(u: Complex[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
     which a wrong scale or a late voltage leave unexplained; where rows are lost there is
     none."""
     before, after = np.diff(u)[:-1], np.diff(u)[1:]
-    back = (before * after.conj()).real < 0
+    back = np.real(before * after.conj()) < 0
     size = np.minimum(np.abs(before), np.abs(after)) * back
     # The steps of a voltage that turns evenly, and noise, are no pulses.
     turning = 2.0 * float(np.median(np.abs(before)))
@@ -183,7 +184,7 @@ def _pulses(u: Complex[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
     return np.concatenate([[False], size > limit, [False]])
 
 
-def _unexplained(error: complex, leap: complex) -> bool:
+def _unexplained(error: Any, leap: Any) -> bool:
     """Whether most of the step of the current is what no voltage explains: all but one of
     `n + 1` intervals, where n rows are lost."""
     share = -(error * np.conj(leap)).real / max(abs(leap) ** 2, 1e-300)

@@ -96,7 +96,7 @@ def _moved(
     for a, b in pairs:
         if max(a, b) < u.shape[1]:
             z = moved(u[:, a] + 1j * u[:, b], shift)
-            out[:, a], out[:, b] = z.real, z.imag
+            out[:, a], out[:, b] = np.real(z), np.imag(z)
     return out
 
 

@@ -30,6 +30,12 @@ class Trial:
     values: tuple[float, ...]
     flux_error: float
 
+    @property
+    def tried(self) -> Hypothesis:
+        """The hypothesis, where there is one."""
+        assert self.hypothesis is not None
+        return self.hypothesis
+
 
 def trials(
     windows: Windows, circle: Circle, hypotheses: Sequence[Hypothesis], clear: float

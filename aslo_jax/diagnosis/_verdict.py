@@ -61,30 +61,30 @@ def _windows(chunks: Sequence[Chunk], circle: Circle) -> Windows | None:
 def _plain(rivals: Sequence[Trial]) -> list[Trial]:
     """The likelier of those that explain a log alike: one of each kind, those with a fitted
     scale only where there is no named one."""
-    by = lambda t: (-t.hypothesis.plain, t.cost)
+    by = lambda t: (-t.tried.plain, t.cost)
     kinds: dict[str, Trial] = {}
     for t in sorted(rivals, key=by):
-        kinds.setdefault(t.hypothesis.kind, t)
+        kinds.setdefault(t.tried.kind, t)
     found = list(kinds.values())
-    named = [t for t in found if t.hypothesis.plain > 1]
+    named = [t for t in found if t.tried.plain > 1]
     return named or found
 
 
 def _harmless(t: Trial, circle: Circle) -> bool:
     """Whether a log that is wrong in this way still gives a flux that is right."""
-    if t.hypothesis.kind == "radius":
+    if t.tried.kind == "radius":
         return _near(t, circle)
-    limit = OF_A_LOG if t.hypothesis.of == "log" else OF_A_MACHINE
+    limit = OF_A_LOG if t.tried.of == "log" else OF_A_MACHINE
     return t.flux_error < limit
 
 
 def _changed(t: Trial, circle: Circle) -> float:
     """The factor of the parameter that a hypothesis fits; infinite where it fits none."""
     given = {"resistance": circle.resistance, "inductance": circle.inductance}
-    if t.hypothesis.kind == "radius" and circle.radius is not None:
+    if t.tried.kind == "radius" and circle.radius is not None:
         return t.radius / circle.radius
-    if t.hypothesis.kind in given:
-        return 1.0 + t.values[0] / given[t.hypothesis.kind]
+    if t.tried.kind in given:
+        return 1.0 + t.values[0] / given[t.tried.kind]
     return math.inf
 
 
@@ -102,13 +102,13 @@ def _near(t: Trial, circle: Circle) -> bool:
 def _warning(nominal: Trial, rivals: Sequence[Trial], circle: Circle) -> Finding:
     shown = rivals[:3]
     causes = ", or ".join(_cause(t, circle) for t in shown)
-    remedies = [t.hypothesis.remedy.format(**words(circle)) for t in shown]
+    remedies = [t.tried.remedy.format(**words(circle)) for t in shown]
     remedy = "; or ".join(dict.fromkeys(filter(None, remedies)))
     better = _times(nominal.cost / max(min(t.cost for t in shown), 1e-12))
     harm = 100 * shown[0].flux_error
     told = f"the {circle.quantity} is off by about {harm:.3g} %, " if harm >= 0.1 else ""
     message = f"{causes}: {told}and the log fits {better} better without that; {remedy}"
-    return Finding(shown[0].hypothesis.kind, message)
+    return Finding(shown[0].tried.kind, message)
 
 
 def _times(x: float) -> str:
@@ -116,7 +116,7 @@ def _times(x: float) -> str:
 
 
 def _cause(t: Trial, circle: Circle) -> str:
-    h, names = t.hypothesis, words(circle)
+    h, names = t.tried, words(circle)
     value = t.values[0] if t.values else 0.0
     fitted = {
         "voltage_scale": lambda: _how_large(1.0 / (1.0 + value)),

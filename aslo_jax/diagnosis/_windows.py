@@ -91,13 +91,13 @@ def windows_of(chunks: Sequence[Chunk], circle: Circle, rate: float) -> Windows 
         k, first = places[c]
         parts.append({name: _blocks(x, first, length) for name, x in sums[k].items()})
     stacked = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
-    t = stacked["t"].real - stacked["t"].real[:, :1]
+    t = np.real(stacked["t"]) - np.real(stacked["t"])[:, :1]
     return Windows(
         t,
         stacked["voltage"],
         stacked["current"],
         stacked["y"],
-        stacked["radius"].real,
+        np.real(stacked["radius"]),
         stacked["dead"],
         {s: stacked[f"shifted {s}"] for s in SHIFTS},
         rate,

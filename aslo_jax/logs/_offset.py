@@ -92,7 +92,7 @@ def _of_periods(t, u, i) -> Offset:
         )
     means = np.array(found)
     # Where the amplitude steps, a mean is far off: most others are not.
-    middle = np.median(means.real, axis=0) + 1j * np.median(means.imag, axis=0)
+    middle = np.median(np.real(means), axis=0) + 1j * np.median(np.imag(means), axis=0)
     scatter = np.median(np.abs(means - middle), axis=0)
     for name, x, one, unsure in zip("ui", (u, i), middle, scatter, strict=True):
         size = np.sqrt(np.mean(np.abs(x) ** 2))
@@ -191,5 +191,5 @@ def _despiked(x: Complex[np.ndarray, " N"]) -> Complex[np.ndarray, " N"]:
     if x.size < 3:
         return x
     three = np.stack([x[:-2], x[1:-1], x[2:]])
-    middle = np.median(three.real, axis=0) + 1j * np.median(three.imag, axis=0)
+    middle = np.median(np.real(three), axis=0) + 1j * np.median(np.imag(three), axis=0)
     return np.concatenate([x[:1], middle, x[-1:]])

@@ -178,8 +178,8 @@ def observers_of(model: Any) -> tuple[AlgebraicObserver, ...] | None:
             return (model,)
         case Asymptotic():
             return observers_of(model.observer)
-        case BearingObserver():
-            return (model.flux,)
+        case BearingObserver(flux=AlgebraicObserver() as flux):
+            return (flux,)
         case SideBySide():
             inner = [observers_of(part) for part in model.observers.values()]
             if all(part is not None for part in inner):
