@@ -277,7 +277,8 @@ def test_a_failing_figure_leaves_no_table(tmp_path, capsys, short, monkeypatch):
     monkeypatch.setattr("aslo_jax.cli._figure.save_figure", fail)
     options = ("--out", tmp_path / "out.csv", "--plot", tmp_path / "out.png")
     message = refusal(capsys, 1, "estimate", short, "--machine", MOTOR, *options)
-    assert message == "aslo-jax: error: No space left on device\n"
+    named = f"{options[1]}, {options[3]}"
+    assert message == f"aslo-jax: error: cannot write {named}: No space left on device\n"
     assert list(tmp_path.iterdir()) == []
 
 

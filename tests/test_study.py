@@ -23,8 +23,10 @@ from aslo_jax.engines._runtime import kernel
 from aslo_jax.metrics import RMSError
 from aslo_jax.study import open_study, run
 from aslo_jax.study._cluster import local_cluster
+from aslo_jax.study._lock import locked
 from aslo_jax.study._problem import BLOCK, Problem, Study
-from aslo_jax.study._store import open_store
+from aslo_jax.study._store import open_store, verify
+from aslo_jax.study._verification import own_checksum
 
 HERE = Path(__file__).parent
 
@@ -293,6 +295,7 @@ def _versions(path):
     file = path / "zarr.json"
     content = json.loads(file.read_text())
     content["attributes"]["versions"] = json.dumps({"jax": "0.0.1"})
+    content["attributes"]["checksum"] = own_checksum(content["attributes"])
     file.write_text(json.dumps(content))
 
 
@@ -306,7 +309,10 @@ def _foreign(path):
     [
         (_flip, "damaged study: chunk 2"),
         (lambda p: (p / "rms/c/0/0/0").unlink(), "damaged study: chunk 0 is not what was"),
-        (lambda p: (p / "rms/zarr.json").unlink(), "damaged study: an array is missing"),
+        (
+            lambda p: (p / "rms/zarr.json").unlink(),
+            "damaged study: file rms/zarr.json is not",
+        ),
         (lambda p: (p / "zarr.json").write_text("{"), "its zarr.json cannot be read"),
         (lambda p: (p / "zarr.json").unlink(), "not a study of aslo_jax"),
         (_foreign, "Zarr group, but not a study of aslo_jax"),
@@ -327,6 +333,71 @@ def test_a_damaged_store_is_refused_by_a_study(stored, tmp_path):
     path = copied(stored, tmp_path)
     _flip(path)
     refused(path, "damaged study: chunk 2")
+
+
+def _undo(path: Path, whole: dict[Path, bytes]) -> None:
+    for file, data in whole.items():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(data)
+
+
+HARMS = ("flipped", "cut", "zeros", "gone")
+
+
+@pytest.mark.parametrize(
+    "shift", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2, 3))]
+)
+def test_damage_to_any_file_is_told_and_repaired(stored, tmp_path, schema, shift):
+    """Every file of a store in turn, in one way each, all four ways with all shifts. No
+    chunk that was whole is run again."""
+    path, full = copied(stored, tmp_path), ("done", *schema.order)
+    whole = {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}
+    assert verify(path) == ((), (), ())
+    for k, (file, data) in enumerate(sorted(whole.items())):
+        half, harm = len(data) // 2, HARMS[(k + shift) % len(HARMS)]
+        if harm == "gone":
+            file.unlink()
+        else:
+            flipped = data[:half] + bytes([data[half] ^ 16]) + data[half + 1 :]
+            new = {"flipped": flipped, "cut": data[:half], "zeros": bytes(len(data))}
+            file.write_bytes(new[harm])
+        name = file.relative_to(path).as_posix()
+        part = name.split("/")
+        if name == "zarr.json":  # what study it is is not known any more
+            for ask in (verify, open_study):
+                with pytest.raises(ValueError, match=r"damaged study|not a study"):
+                    ask(path)
+        elif part[0] == "done" and part[1] == "c" and harm == "gone":
+            assert verify(path).missing == (int(part[2]),)
+        else:
+            found, samples = verify(path), part[1] == "c" and part[0] in full
+            assert found, name
+            assert found.chunks == ((int(part[2]),) if samples else ()), name
+            assert found.files == (() if samples else (name,)), name
+            with pytest.raises(ValueError, match=r"damaged study: .* not what was written"):
+                open_store(path, schema, resume=True)
+            store = open_store(path, schema, resume=True, repair=True)
+            left = np.flatnonzero(~store.done())
+            assert tuple(left) == found.chunks, name
+        _undo(path, whole)
+
+
+def test_a_repaired_study_has_the_bits_of_the_whole(stored, tmp_path):
+    path = copied(stored, tmp_path)
+    _flip(path)
+    (path / "observer" / "c" / "0").write_bytes(b"no")
+    refused(path, "file observer/c/0 is not what was written; chunk 2 is not")
+    studies.run_study(store=path, resume=True, repair=True)
+    assert verify(path) == ((), (), ())
+    assert_same(open_study(path), open_study(stored))
+
+
+def test_a_second_study_on_one_store_is_refused(tmp_path):
+    path = tmp_path / "run.zarr"
+    with locked(path), pytest.raises(ValueError, match="Another process writes a study"):
+        studies.run_study(store=path)
+    studies.run_study(store=path)
+    assert [each.name for each in tmp_path.iterdir()] == ["run.zarr"]
 
 
 def test_opening_what_is_no_study(tmp_path):

@@ -194,6 +194,67 @@ CHANGES = {
     "a choice": ({"design": "grid"}, '`design`, the design, must be "iid" or "lhs" or "so'),
     "a horizon": ({"horizon": 0.505}, "`horizon` must be a whole number of intervals of 0"),
     "a decimation": ({"every": 7}, "`every` must divide the 50 samples of the horizon, bu"),
+    "a key beside one that is called like its kind": (
+        {"sensor": [{"kind": "delay", "delay": 1.0, "longest": 10**9}]},
+        "`sensor.0.longest`, the most that a spread gives, in samples, must be a whole "
+        "number from 1 to 256, but is 1000000000",
+    ),
+    "a delay": (
+        {"sensor": [{"kind": "delay", "delay": 1e9}]},
+        "`sensor.0.delay`, in samples, must be a number from 0 to 256, but is 1000000000.0",
+    ),
+    "deviations of two entries": (
+        {"sensor": [{"kind": "bias", "offset": 0}, {"kind": "noise", "deviation": [1, 2]}]},
+        "`sensor.1` must suit its signal, which has one number",
+    ),
+    "offsets that the input has not": (
+        {"actuator": [{"kind": "bias", "offset": [0.1, 0.2]}]}, "`actuator.0` must suit its"
+    ),
+    "no ranges": (
+        {"sensor": [{"kind": "encoder", "bits": 12, "ranges": []}]},
+        "`sensor.0.ranges`, what each spans, a length (m) or 0 of `angles` a turn, must be "
+        "a list of positive finite numbers, one for each entry of the signal, but is []",
+    ),
+    "bits": (
+        {"sensor": [{"kind": "encoder", "bits": 10_000, "ranges": [1.0]}]},
+        "`sensor.0.bits`, of every encoder, must be a whole number from 1 to 52, but is 1",
+    ),
+    "an endless horizon": (
+        {"horizon": 1e308},
+        "`horizon` must be at most 1e+09 intervals, 1e+07 s, but is 1e+308",
+    ),
+    "errors that no memory holds": (
+        {"horizon": 1e6, "every": 1},
+        "`every` must be at least 1000, to keep at most 100000 errors of the 100000000",
+    ),
+    "steps of the plant": (
+        {"plant_steps": 10**9}, "must be a whole number from 1 to 100, but is 1000000000"
+    ),
+    "a title that moves the cursor": ({"title": "a\x1b[2Jb"}, "`title` must be text that"),
+    "a metric called as a coordinate": (
+        {"metrics.time": {"kind": "final"}},
+        "`metrics.time` would be stored under the name of `time` of every study",
+    ),
+    "a metric called as what is kept": ({"metrics.error": {"kind": "final"}}, "of `error`"),
+    "a metric called as a parameter": (
+        {"metrics.parameter_speed": {"kind": "final"}},
+        "`spread.speed` would be stored under the name of `metrics.parameter_speed`",
+    ),
+    "metrics that differ in their case": (
+        {"metrics.RMS": {"kind": "final"}},
+        "`metrics.RMS` would be stored under the name of `metrics.rms`",
+    ),
+    "a metric without a name": ({"metrics": {"": {"kind": "final"}}}, "but it is ''"),
+    "a metric that leaves the store": (
+        {"metrics": {"../../etc": {"kind": "final"}}}, "without / \\ ., spaces at its ends"
+    ),
+    "a metric called as a file": (
+        {"metrics": {"zarr.json": {"kind": "final"}}}, "but it has '.'"
+    ),
+    "a long name": ({"metrics": {"x" * 300: {"kind": "final"}}}, "but it has 300"),
+    "an observer with a line end": (
+        {"observers": {"a\nb": {"kind": "aslo", "cutoff": 1.0}}}, "but it has '\\n'"
+    ),
     "a scale": ({"scale": [1.0, 2.0]}, "`scale` must hold 1 numbers, for speed, but is"),
 }  # fmt: skip
 

@@ -1,5 +1,6 @@
 """Spreads: distributions, designs, and the leaves that they set."""
 
+import cloudpickle
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +21,7 @@ from aslo_jax.study import (
 )
 from aslo_jax.study._designs import make_design
 from aslo_jax.study._leaves import Layout
+from aslo_jax.study._possible import refuse_impossible
 from aslo_jax.study._spread import Sampler
 
 N = 4096
@@ -217,6 +219,60 @@ def test_refused_spreads(spread, message):
         sampler(**spread)
 
 
+@pytest.mark.parametrize(
+    ("where", "law", "relative", "impossible", "said"),
+    [
+        ("plant.resistance", Normal(1.0, 0.6), True, lambda x: x <= 0, "resistance"),
+        ("observers.*.filter.rate", Uniform(-1.0, 3.0), False, lambda x: x <= 0, "rate"),
+        ("sensor.deviation.1", Normal(0.1, 0.1), False, lambda x: x < 0, "deviation"),
+        ("plant.inertia", Discrete((1.0, 0.0, -2.0)), True, lambda x: x <= 0, "inertia"),
+    ],
+)
+def test_impossible_parameters_are_counted(where, law, relative, impossible, said):
+    """Of the samples that would be run: the count is that of the numbers themselves."""
+    drawn = sampler(x=Parameter(where, law, relative))
+    count = int(impossible(drawn.values(0, N)).sum())
+    assert 0 < count < N
+    with pytest.raises(ValueError, match=rf"`spread.x` .* {count} of {N} .*`{said}` must"):
+        refuse_impossible(drawn, N)
+
+
+def test_every_sample_impossible():
+    drawn = sampler(x=Parameter("plant.resistance", Normal(-9.0, 0.1), True))
+    with pytest.raises(ValueError, match=rf"in {N} of {N} samples \(100 %\)"):
+        refuse_impossible(drawn, N)
+
+
+def test_possible_parameters_pass():
+    """What may have any sign may have it; a resistance within its bounds passes, too."""
+    bounded = Normal(1.0, 0.6, low=0.2)
+    drawn = sampler(
+        x=Parameter("plant.resistance", bounded, True),
+        y=("initial.flux", Normal(0.0, 1.0)),
+        z=("initial.angle", Normal(0.0, 1.0)),
+    )
+    refuse_impossible(drawn, N)
+
+
+def test_a_truncated_normal_distribution():
+    """By the test of Kolmogorov and Smirnov; no number is outside."""
+    x = sampler(x=("plant.resistance", Normal(2.0, 0.5, 1.8, 2.9))).values(0, N)[:, 0]
+    assert x.min() >= 1.8 and x.max() <= 2.9
+    expected = scipy.stats.norm(2.0, 0.5)
+    whole = expected.cdf(2.9) - expected.cdf(1.8)
+    law = lambda at: (expected.cdf(at) - expected.cdf(1.8)) / whole
+    assert scipy.stats.kstest(x, law).pvalue > 0.01
+
+
+@pytest.mark.parametrize("design", ["iid", "lhs", "sobol"])
+def test_a_design_sent_to_another_process_is_the_same(design):
+    drawn = sampler(design, x=("plant.resistance", Uniform(1.0, 2.0)))
+    drawn.values(0, 512)
+    copy = cloudpickle.loads(cloudpickle.dumps(drawn.design))
+    np.testing.assert_array_equal(copy(256, 1024), drawn.design(256, 1024))
+    assert len(cloudpickle.dumps(drawn.design)) < 1000
+
+
 def test_all_paths_are_listed():
     assert "observers.A-ASLO.observer.filter.rate" in Layout(EXPERIMENT).real()
     assert "controller.signal" not in Layout(EXPERIMENT).real()
@@ -237,3 +293,8 @@ def test_all_paths_are_listed():
 def test_refused_distributions(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_a_path_that_is_not_there_names_its_spread():
+    with pytest.raises(ValueError, match=r"`spread.x`: .* no `plant.resistanze`"):
+        sampler(x=("plant.resistanze", Normal(1.0, 0.1)))

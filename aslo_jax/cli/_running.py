@@ -97,6 +97,8 @@ def with_noise(
     return machine.with_noise(pooled([white_noise(x.u, x.y, *groups) for x in pieces]))
 
 
+# What overflows is counted in the table, and said once.
+@np.errstate(over="ignore", invalid="ignore")
 def tabulated(
     reader: LogReader,
     machine: AbstractDescription,

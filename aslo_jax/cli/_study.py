@@ -12,6 +12,7 @@ import typer
 from .._extras import require
 from .._studies import NAMES
 from ._options import QuietSummary, double_precision
+from ._outputs import naming_full_disks, refuse_loop
 
 if TYPE_CHECKING:
     from ..study._config import Configuration
@@ -39,6 +40,25 @@ depend on the configuration, the number of samples and the seed only: not on --c
 """
 
 
+def _verify(folder: Path | None) -> None:
+    """Tell what is damaged in the results of a study, and exit: with 0 where nothing is."""
+    if folder is None:
+        return
+    require("zarr", "study")
+    from ..study._store import verify
+    from ..study._verification import ranges
+
+    store = folder / STORE if (folder / STORE).exists() else folder
+    found = verify(store)
+    typer.echo(f"{store}: {found}")
+    if found.missing:
+        typer.echo(f"not run yet, which --resume does: chunks {ranges(found.missing)}")
+    if found:
+        typer.echo("--resume --repair, with the study's settings, makes this again.")
+        raise typer.Exit(1)
+    raise typer.Exit
+
+
 def study(
     config: Annotated[str, typer.Argument(help="A TOML file, or a ready-made name.")],
     samples: Annotated[int, typer.Option(min=1, help="How many experiments.")],
@@ -47,6 +67,19 @@ def study(
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with a study that was interrupted.")
     ] = False,
+    repair: Annotated[
+        bool,
+        typer.Option("--repair", help="With --resume: run again what is damaged, too."),
+    ] = False,
+    verify: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            is_eager=True,
+            callback=_verify,
+            help="Tell what is damaged in the results in DIR, and exit; nothing is run.",
+        ),
+    ] = None,
     engine: Annotated[
         Engine, typer.Option(help="Compiled to machine code, or by XLA.")
     ] = Engine.auto,
@@ -83,6 +116,9 @@ def study(
     quiet: QuietSummary = False,
 ) -> None:
     """Run a study; its help is [`HELP`][]."""
+    del verify
+    if repair and not resume:
+        raise ValueError("--repair must go with --resume.")
     double_precision()
     from .. import random
     from ..study import open_study, run
@@ -91,6 +127,8 @@ def study(
 
     if cluster is not None and workers is not None:
         raise ValueError("--cluster and --workers exclude each other; give one of them.")
+    refuse_loop(out)
+    refuse_loop(Path(config))
     if out.exists() and not out.is_dir():
         raise ValueError(f"--out must be a directory, but {out} is a file.")
     wanted = ["zarr", "xarray", "tqdm", *(["jinja2", "matplotlib"] if report else [])]
@@ -101,6 +139,7 @@ def study(
         _rms(configuration)
     begun = time.perf_counter()
     with ExitStack() as stack:
+        stack.enter_context(naming_full_disks(out))
         client = None
         if workers is not None:
             client = stack.enter_context(local_cluster(workers))
@@ -115,6 +154,7 @@ def study(
             engine=engine.value,
             store=out / STORE,
             resume=resume,
+            repair=repair,
             client=client,
             chunk=chunk,
             progress=not quiet,

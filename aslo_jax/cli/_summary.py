@@ -84,6 +84,8 @@ class Summary:
         self.rates, self.substeps = rates, substeps
         self.interval = reader.interval
         self.coasting = dict.fromkeys(machine.suffixes(), 0)
+        self.infinite = 0  # rows with a number that is not finite
+        self.infinite_columns: set[str] = set()
         self.settled: dict[str, float] = {}  # from when on (s), by suffix
         self.scored = False
         self.relative: dict[str, list[Float[np.ndarray, " n"]]] = {}
@@ -94,6 +96,7 @@ class Summary:
 
     def add(self, piece: Piece) -> None:
         t, self.scored = piece.columns["t"], bool(piece.truth)
+        self._count(piece)
         for suffix in self.coasting:
             coasting = piece.columns[f"coasting{suffix}"]
             self.coasting[suffix] += int(coasting.sum())
@@ -102,6 +105,19 @@ class Summary:
         for quantity in self.machine.quantities:
             rows = t >= self.settled.get(quantity.suffix, np.inf)
             self._score(quantity, piece, rows)
+
+    def _count(self, piece: Piece) -> None:
+        """Rows with numbers that are not finite, but errors where there is no truth."""
+        rows = np.zeros(piece.columns["t"].size, bool)
+        for name, column in piece.columns.items():
+            bad = ~np.isfinite(column)
+            true = piece.truth.get(name.removeprefix("error_"))
+            if name.startswith("error_") and true is not None:
+                bad &= np.isfinite(true)
+            if bad.any():
+                self.infinite_columns.add(name)
+                rows |= bad
+        self.infinite += int(rows.sum())
 
     def _settled(self, start: float) -> float:
         loops = [self.rates[k].value for k in ("gain", "pll_bandwidth") if k in self.rates]
@@ -207,6 +223,14 @@ class Summary:
                 "slow_sampling",
                 f"the log has {sampled}, which is slow for this kind of machine: is `t` in "
                 "seconds, not milliseconds?",
+            )
+        if self.infinite:
+            names = sorted(self.infinite_columns)
+            yield (
+                "not_finite",
+                f"{self.infinite} of {self.reader.t.size} rows of the table hold numbers "
+                f"that are not finite, in {', '.join(names)}: the log's numbers are "
+                "too large or too small to be squared; check its units",
             )
         for suffix, rows in self.coasting.items():
             share = rows / self.reader.t.size

@@ -89,8 +89,8 @@ def tune(
         require("matplotlib", "cli,plot")
     say = (lambda text: None) if quiet else (lambda text: typer.echo(text, err=True))
     with staged(*outputs.values()) as parts:
-        text = config.read_text(encoding="utf-8")
         content = read_toml(config)
+        text = config.read_text(encoding="utf-8")
         configure(content)
         values: dict = {}
         if log is not None:

@@ -20,6 +20,7 @@ from ..logs import Log
 from ..machines import AbstractDescription, known_kind
 from ..schema._toml_text import table_of
 from ..study._config import Configuration, ConfigurationError, configure
+from ..study._possible import refuse_impossible
 from ..study._spread import Sampler
 from ..tune import Calibration, Fitted, fit
 from ..tune.losses import MeanSquare
@@ -206,6 +207,7 @@ def _tuned(
 ) -> Tuned:
     loop = _alone(configuration, name)
     sampler = Sampler(loop, configuration.spread, seed, 2 * samples)
+    refuse_impossible(sampler, 2 * samples)
     both = sampler(np.arange(2 * samples), sampler.values(0, 2 * samples))
     halves = [jax.tree.map(lambda x, k=k: x[k * samples :][:samples], both) for k in (0, 1)]
     key = random.key(seed)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .. import random
-from .._checks import positive, real
+from .._checks import nonnegative, positive, real
 from .._typing import HostArray, PyTree, RealArray
 from ._base import AbstractDisturbance, DisturbanceState
 
@@ -30,6 +30,7 @@ class SampledNoise(AbstractDisturbance):
 
     def __check_init__(self) -> None:
         positive("interval", self.interval, "s")
+        nonnegative("deviation", self.deviation)
 
     def init(self, t: RealArray, signal: PyTree, output: PyTree = None) -> DisturbanceState:
         del t, signal, output

@@ -64,7 +64,7 @@ def _import(module: str, folder: Path, what: str) -> Any:
                 "installed; put it beside the TOML file or install it"
             ) from error
         raise MachineError(_failed(what, "importing it", error)) from error
-    except Exception as error:  # whatever the user's code raises
+    except (Exception, SystemExit) as error:  # whatever the user's code raises
         raise MachineError(_failed(what, "importing it", error)) from error
 
 
@@ -81,11 +81,11 @@ def _attribute(found: Any, name: str, what: str) -> Any:
 def _call(function: Any, names: str, what: str) -> Any:
     try:
         return function()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise MachineError(_failed(what, f"calling {names}()", error)) from error
 
 
-def _failed(what: str, doing: str, error: Exception) -> str:
+def _failed(what: str, doing: str, error: BaseException) -> str:
     return f"{what} {doing} failed with {type(error).__name__}: {error}"
 
 

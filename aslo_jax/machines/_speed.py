@@ -33,7 +33,7 @@ def turning_speed(t: Float[np.ndarray, " N"], v: Float[np.ndarray, "N 2"]) -> fl
     which it turns by about half a radian, and signed turns are summed over 64 blocks before
     their size is taken.
     """
-    size, speed = 1, 0.0
+    v, size, speed = _near_one(v), 1, 0.0
     for _ in range(8):  # noise makes the first speeds too large, the first blocks too short
         means, times = _blocks(v, size), _blocks(t, size)
         speed = _turning(times, means)
@@ -52,6 +52,7 @@ def turning_acceleration(t: Float[np.ndarray, " N"], v: Float[np.ndarray, "N 2"]
     starts = np.arange(0, t.size - rows, rows)
     if starts.size < 2:
         return 0.0
+    v = _near_one(v)
     turned, weight = np.zeros(starts.size), np.zeros(starts.size)
     for k, first in enumerate(starts):
         w, h = v[first : first + rows + 1], np.diff(t[first : first + rows + 1])
@@ -61,6 +62,13 @@ def turning_acceleration(t: Float[np.ndarray, " N"], v: Float[np.ndarray, "N 2"]
     change = np.diff(speed) / np.diff(t[starts])
     both = np.minimum(weight[1:], weight[:-1])
     return float((np.sum(both * change**4) / max(both.sum(), 1e-300)) ** 0.25)
+
+
+def _near_one(v: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
+    """The vector over a power of two, whose squares are numbers, too; a rate has the same
+    bits of either."""
+    largest = float(np.max(np.abs(v), initial=0.0))
+    return np.ldexp(v, -math.frexp(largest)[1]) if math.isfinite(largest) else v
 
 
 def _blocks(x: Float[np.ndarray, "N *k"], size: int) -> Float[np.ndarray, "M *k"]:

@@ -89,6 +89,9 @@ def _walk(model: Any, fault: Any, content: Any) -> tuple[list[str], Any, Any, An
     place = list(fault["loc"])
     for k, item in enumerate(place):
         last = k == len(place) - 1
+        if len(list(_models(annotation))) > 1 and item in _tags_of(content):
+            annotation = _model(annotation, content)
+            continue
         inside = isinstance(content, dict) and item in content
         inside = inside or (isinstance(content, list) and isinstance(item, int))
         absent = last and fault["type"] == "missing"
@@ -137,6 +140,10 @@ def _model(annotation: Any, content: Any) -> type[BaseModel] | None:
         if any(content.get(tag) in _choices(model, tag) for tag in TAGS):
             return model
     return models[0]
+
+
+def _tags_of(content: Any) -> list[Any]:
+    return [content.get(tag) for tag in TAGS] if isinstance(content, dict) else []
 
 
 def _choices(model: type[BaseModel], tag: str) -> tuple[Any, ...]:

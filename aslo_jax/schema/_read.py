@@ -14,3 +14,5 @@ def read_toml(path: Path, refusal: type[ValueError] = ValueError) -> dict[str, A
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise refusal(f"{path} is not valid TOML: {error}") from error
+    except RecursionError:
+        raise refusal(f"{path} is not valid TOML: it is nested too deeply") from None

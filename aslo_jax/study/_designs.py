@@ -68,9 +68,13 @@ class _Sobol:
     """Goes on from where it was where that is possible, and else starts again."""
 
     def __init__(self, names: Sequence[str], seed: int) -> None:
-        self.dimension, self.seed = len(names), seed
+        self.names, self.dimension, self.seed = tuple(names), len(names), seed
         self.engine, self.position = self._start(), 0
         self.lock = threading.Lock()
+
+    def __reduce__(self):
+        # A lock cannot be sent to other processes, nor need be what it protects.
+        return _Sobol, (self.names, self.seed)
 
     def _start(self):
         from scipy.stats import qmc
@@ -106,6 +110,12 @@ class _LatinHypercube:
         sampler = qmc.LatinHypercube(len(names), rng=_generator(seed))
         points = sampler.random(samples)
         self.points = np.clip(points, 2.0**-53, 1.0 - 2.0**-53)
+
+        self.arguments = tuple(names), seed, samples
+
+    def __reduce__(self):
+        # Drawn again in another process: it is sent with every chunk.
+        return _LatinHypercube, self.arguments
 
     def __call__(self, start, stop):
         return self.points[start:stop]

@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -37,21 +38,39 @@ class AbstractDistribution(abc.ABC):
 
 @dataclasses.dataclass(frozen=True)
 class Normal(AbstractDistribution):
-    """The normal distribution of a `mean` and a standard `deviation`."""
+    """The normal distribution of a `mean` and a standard `deviation`, of which only what is
+    between `low` and `high` is drawn: truncated, where they are finite."""
 
     mean: float
     deviation: float
+    low: float = -math.inf
+    high: float = math.inf
 
     def __post_init__(self) -> None:
         _finite("mean", self.mean)
         _positive("deviation", self.deviation)
+        if not self.low < self.high:
+            raise ValueError(
+                "Argument `high` must be above `low`, but got "
+                f"low = {self.low}, high = {self.high}."
+            )
+        if max(self.low - self.mean, self.mean - self.high) > 5.0 * self.deviation:
+            raise ValueError(
+                "Arguments `low` and `high` must leave what a normal distribution has "
+                f"within five deviations of its mean, {self.mean}, but got "
+                f"low = {self.low}, high = {self.high}."
+            )
 
     @property
     def dimension(self) -> int:
         return 1
 
     def quantiles(self, u: HostArray) -> HostArray:
-        return _scipy().norm.ppf(u, self.mean, self.deviation)
+        if not (math.isfinite(self.low) or math.isfinite(self.high)):
+            return _scipy().norm.ppf(u, self.mean, self.deviation)
+        low, high = ((x - self.mean) / self.deviation for x in (self.low, self.high))
+        found = _scipy().truncnorm.ppf(u, low, high, self.mean, self.deviation)
+        return np.clip(found, self.low, self.high)
 
 
 @dataclasses.dataclass(frozen=True)

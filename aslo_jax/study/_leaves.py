@@ -39,6 +39,7 @@ class Layout:
             experiment = started(experiment)
         pairs, self.tree = jax.tree_util.tree_flatten_with_path(experiment)
         self.paths = [".".join(_name(key) for key in path) for path, _ in pairs]
+        self.ways = [way for way, _ in pairs]
         self.leaves = [leaf for _, leaf in pairs]
 
     def __reduce__(self):

@@ -19,7 +19,9 @@ from .._typing import Engine
 from ..engines import Runner
 from ..metrics._base import MakeMetric, metric_of
 from ._leaves import Layout
-from ._spread import Sampler, Spread
+from ._names import check_names
+from ._possible import refuse_impossible
+from ._spread import Sampler, Spread, names_of
 from ._store import Data, Schema, Variable
 
 # Samples are run in whole blocks that begin at a multiple of this, so that a sample is
@@ -50,6 +52,7 @@ class Problem:
     def __post_init__(self) -> None:
         if not self.experiment.observers:
             raise ValueError("Argument `experiment` must have an observer, but has none.")
+        check_names(self.experiment.observers, self.metrics, names_of(self.spread))
         if self.every is not None and (self.every < 1 or self.steps % self.every):
             raise ValueError(
                 f"Argument `every` must divide the number of steps, {self.steps}, but got "
@@ -89,6 +92,7 @@ class Study:
         self.sampler = Sampler(
             problem.experiment, problem.spread, problem.seed, problem.samples
         )
+        refuse_impossible(self.sampler, problem.samples)
         metrics = {
             f"{metric}/{observer}": metric_of(make, observer)
             for metric, make in problem.metrics.items()

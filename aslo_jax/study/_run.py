@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +16,19 @@ from .._typing import Engine
 from ..metrics._base import MakeMetric
 from ._cluster import run_on_cluster, start_workers
 from ._distributions import AbstractDistribution
+from ._lock import locked
 from ._problem import BLOCK, CHUNK, Problem, Study
 from ._spread import Parameter, Spread
-from ._store import Data, Schema, open_store, refuse_taken, stored_attributes
+from ._store import (
+    INTERNAL,
+    Data,
+    Schema,
+    Store,
+    open_store,
+    refuse_damaged_files,
+    refuse_taken,
+    stored_attributes,
+)
 
 if TYPE_CHECKING:
     import xarray
@@ -40,6 +50,7 @@ def run(
     chunk: int | None = None,
     store: str | Path | None = None,
     resume: bool = False,
+    repair: bool = False,
     client: Any = None,
     progress: bool = False,
     configuration: Mapping[str, Any] | None = None,
@@ -61,7 +72,8 @@ def run(
     - `chunk`: how many samples are run and written at a time, rounded up to a whole number
       of blocks of 256;
     - `store`: the path of a Zarr store to write; it must not exist, unless `resume` goes on
-      with one that was interrupted, where chunks that are done are kept;
+      with one that was interrupted, where chunks that are done are kept; with `repair`
+      those that are damaged are run again, which are refused otherwise;
     - `client`: a `dask.distributed.Client` whose workers run the chunks, one thread each;
     - `progress`: a bar on stderr;
     - `configuration`, `units` (by variable), `entries` (names of what is estimated): kept
@@ -81,6 +93,8 @@ def run(
     """
     if store is not None and not resume:
         refuse_taken(Path(store))  # before anything that takes time
+    if repair and not (resume and store is not None):
+        raise ValueError("Argument `repair` must go with `resume`, and with a `store`.")
     spread = spread if isinstance(spread, Spread) else Spread(spread)
     problem = Problem(
         experiment=experiment,
@@ -97,16 +111,28 @@ def run(
         units=dict(units or {}),
         entries=entries,
     )
-    starting = [] if client is None else start_workers(client)
-    study = Study(problem, threads if client is None else 1)
-    target = None if store is None else open_store(Path(store), study.schema, resume)
-    whole = None if store is not None else _allocated(study.schema)
+    with nullcontext() if store is None else locked(Path(store)):
+        starting = [] if client is None else start_workers(client)
+        study = Study(problem, threads if client is None else 1)
+        target = whole = None
+        if store is None:
+            whole = _allocated(study.schema)
+        else:
+            target = open_store(Path(store), study.schema, resume, repair)
+        _fill(study, target, whole, client, progress)
+        del starting
+    return open_study(store) if store is not None else _dataset(study.schema, whole or {})
+
+
+def _fill(
+    study: Study, target: Store | None, whole: Any, client: Any, progress: bool
+) -> None:
+    """Run what is not done, into the store or into the arrays of the `whole`."""
     done = np.zeros(study.schema.chunks, bool) if target is None else target.done()
-    with _progress(problem, study.schema, done, progress) as tell:
+    with _progress(study.problem, study.schema, done, progress) as tell:
         todo = [int(k) for k in np.flatnonzero(~done)]
         if client is not None:
             path = None if target is None else target.path.resolve()
-            del starting
             found = run_on_cluster(client, study, path, todo)
         else:
             found = ((k, study.chunk(k)) for k in todo)
@@ -118,16 +144,17 @@ def run(
             elif target is not None and data is not None:
                 target.write(number, data)
             tell(last - first)
-    return open_study(store) if store is not None else _dataset(study.schema, whole or {})
 
 
 def open_study(path: str | Path) -> "xarray.Dataset":
     """The results of a study in its store at `path`, complete or not: what is not done yet
     is NaN, zero or False. Read on demand.
 
-    **Raises:** `ValueError` where there is no study of aslo_jax.
+    **Raises:** `ValueError` where there is no study of aslo_jax, or one whose coordinates
+    or descriptions of arrays are damaged; a damaged chunk of samples raises as it is read.
     """
-    stored_attributes(Path(path))
+    attributes = stored_attributes(Path(path))
+    refuse_damaged_files(Path(path), attributes)
     xarray = require("xarray", "study")
     found = xarray.open_zarr(str(path), consolidated=False, chunks=None)
     # As they are in memory; NumPy's new type of text has few operations yet.
@@ -136,6 +163,7 @@ def open_study(path: str | Path) -> "xarray.Dataset":
         for name, x in found.coords.items()
         if x.dtype.kind == "T"
     }
+    found.attrs = {k: x for k, x in found.attrs.items() if k not in INTERNAL}
     return found.drop_vars("done").assign_coords(text)
 
 

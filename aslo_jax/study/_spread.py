@@ -67,6 +67,11 @@ class Spread:
         return f"Spread({self.parameters!r}, design={self.design!r})"
 
 
+def names_of(spread: Spread) -> list[str]:
+    """The names of the numbers that a spread draws."""
+    return [each for n, p in spread.parameters.items() for each in _names(n, p)]
+
+
 class Sampler:
     """The samples of a spread on an experiment, by index: a sample depends on the seed and
     its index only, of a Latin hypercube also on the number of `samples`.
@@ -86,7 +91,10 @@ class Sampler:
         for name, parameter in spread.parameters.items():
             names = _names(name, parameter)
             for each, where in zip(names, _wheres(name, parameter), strict=True):
-                found = layout.places(where)
+                try:
+                    found = layout.places(where)
+                except ValueError as error:
+                    raise ValueError(f"`spread.{name}`: {error}") from None
                 _refuse_overlap(layout, taken, found, each)
                 places.append(found)
                 relative.append(parameter.relative)

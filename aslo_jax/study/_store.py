@@ -3,12 +3,12 @@
 The arrays are made as a whole, with chunks of their own for every chunk of samples. A chunk
 is written in two steps: its data, then a mark in the array `done`, which is the checksum
 of the data and appears by one rename. So a process that is killed leaves chunks that are
-marked and right, and chunks that are not marked and are computed again.
+marked and right, and chunks that are not marked and are computed again. All other files
+have checksums, too ([`verification`][]).
 """
 
 import json
 import shutil
-import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,11 +16,26 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._extras import require
+from .._interrupts import committing, discard
+from ._lock import partial
+from ._verification import (
+    DONE,
+    FILES,
+    MARK,
+    OWN,
+    Damage,
+    checksum,
+    damage,
+    damaged_files,
+    file_checksums,
+    mark,
+    own_checksum,
+)
 
 FORMAT = "aslo_jax_study"  # the attribute that marks a store, and its version
-VERSION = 1
-DONE = "done"
-_MARK = 2**32  # added to a checksum of 32 bits, so that a mark is never zero
+VERSION = 2
+ORDER = "order"  # the attribute with the arrays that hold samples, in the checksum's order
+INTERNAL = (ORDER, FILES, OWN)  # of no interest to who reads the results
 
 
 class Variable(NamedTuple):
@@ -51,6 +66,11 @@ class Schema(NamedTuple):
     attributes: dict[str, Any]
 
     @property
+    def order(self) -> list[str]:
+        """The arrays that hold samples, in the order of their checksum."""
+        return ["sample", *self.variables]
+
+    @property
     def chunks(self) -> int:
         return -(-self.samples // self.chunk)
 
@@ -75,33 +95,26 @@ class Store:
         """Write a chunk: its data, then its mark. Writing the same again is harmless."""
         first, last = self.schema.range(number)
         full = dict(data) | {"sample": np.arange(first, last)}
-        for name in self._names():
+        for name in self.schema.order:
             self._group[name][first:last] = full[name]
-        self._group[DONE][number] = _MARK + _checksum(full[name] for name in self._names())
-
-    def _names(self) -> list[str]:
-        return ["sample", *self.schema.variables]
+        self._group[DONE][number] = MARK + checksum(
+            full[name] for name in self.schema.order
+        )
 
     def done(self) -> np.ndarray:
         """Which chunks are marked as done."""
-        return np.asarray(self._group[DONE][:]) != 0
+        marks = (mark(self._group[DONE], k) for k in range(self.schema.chunks))
+        return np.array([found not in (0, None) for found in marks])
 
-    def verify(self) -> None:
-        """Refuse data that is not what was written."""
-        marks = np.asarray(self._group[DONE][:])
-        for number in np.flatnonzero(marks):
-            first, last = self.schema.range(int(number))
-            try:
-                data = [np.asarray(self._group[n][first:last]) for n in self._names()]
-                right = _MARK + _checksum(data) == int(marks[number])
-            except Exception as error:  # whatever a codec raises
-                raise _damaged(self.path, f"chunk {number} cannot be read") from error
-            if not right:
-                raise _damaged(self.path, f"chunk {number} is not what was written")
+    def forget(self, number: int) -> None:
+        """Make a chunk one that is not done, its files removed, which may be unreadable."""
+        for name in (DONE, *self.schema.order):
+            discard(self.path / name / "c" / str(number))
 
 
-def open_store(path: Path, schema: Schema, resume: bool) -> Store:
-    """Make the store, or with `resume` go on with the one that is there, if any.
+def open_store(path: Path, schema: Schema, resume: bool, repair: bool = False) -> Store:
+    """Make the store, or with `resume` go on with the one that is there, if any; what is
+    damaged in it is refused, or with `repair` made again, chunks as not done.
 
     **Raises:** `ValueError` for a path that holds anything else: no study, a damaged one,
     or one of another configuration; none of them is touched.
@@ -112,11 +125,49 @@ def open_store(path: Path, schema: Schema, resume: bool) -> Store:
         _check(path, schema)
         for rest in path.rglob("*.partial"):  # of a write that was interrupted
             rest.unlink()
+        if repair:
+            _restore_files(path, schema)
+        found = verify(path)
+        if found and not repair:
+            raise _damaged(path, str(found))
+        _check_arrays(path, schema)
         store = Store(path, schema)
-        store.verify()
+        for number in found.chunks:
+            store.forget(number)
         return store
     _create(path, schema)
     return Store(path, schema)
+
+
+def verify(path: Path) -> Damage:
+    """What is damaged in the study at `path`, every file of which is read.
+
+    **Raises:** `ValueError` where there is no study, or its description is damaged, which
+    cannot be repaired.
+    """
+    attributes = stored_attributes(path)
+    if attributes[FORMAT] != VERSION:
+        raise _other_version(path, attributes)
+    return damage(path, attributes, attributes[ORDER])
+
+
+def refuse_damaged_files(path: Path, attributes: Mapping[str, Any]) -> None:
+    """Refuse coordinates and descriptions of arrays that are not what was written."""
+    if names := damaged_files(path, attributes):
+        raise _damaged(path, str(Damage(names, (), ())))
+
+
+def _restore_files(path: Path, schema: Schema) -> None:
+    """Of all that is no chunk of samples, what is damaged is written again."""
+    names = damaged_files(path, stored_attributes(path))
+    if not names:
+        return
+    fresh = partial(path)
+    _make(fresh, schema)
+    for name in names:
+        (path / name).parent.mkdir(parents=True, exist_ok=True)
+        (fresh / name).replace(path / name)
+    shutil.rmtree(fresh)
 
 
 def refuse_taken(path: Path) -> None:
@@ -147,12 +198,14 @@ def stored_attributes(path: Path) -> dict[str, Any]:
         content = json.loads(meta.read_text())
         attributes = content["attributes"]
     except (ValueError, KeyError, TypeError) as error:
-        raise _damaged(path, "its zarr.json cannot be read") from error
+        raise _broken(path, "its zarr.json cannot be read") from error
     if FORMAT not in attributes:
         raise ValueError(
             f"{path} is a Zarr group, but not a study of aslo_jax: it has no attribute "
             f"`{FORMAT}`. It is left as it is; choose another path."
         )
+    if attributes[FORMAT] == VERSION and attributes.get(OWN) != own_checksum(attributes):
+        raise _broken(path, "its zarr.json is not what was written")
     return attributes
 
 
@@ -164,10 +217,7 @@ def _check(path: Path, schema: Schema) -> None:
         )
     attributes = stored_attributes(path)
     if attributes[FORMAT] != VERSION:
-        raise ValueError(
-            f"{path} has version {attributes[FORMAT]} of the format of studies, but this "
-            f"aslo_jax writes version {VERSION}. It is left as it is; choose another path."
-        )
+        raise _other_version(path, attributes)
     for name, now in _plain(schema.attributes).items():
         was = attributes.get(name)
         if was != now:
@@ -176,7 +226,6 @@ def _check(path: Path, schema: Schema) -> None:
                 f"{_difference(was, now)}. Go on with the settings that it was begun with, "
                 "or choose another path."
             )
-    _check_arrays(path, schema)
 
 
 def _check_arrays(path: Path, schema: Schema) -> None:
@@ -204,13 +253,24 @@ def _arrays(
 
 def _create(path: Path, schema: Schema) -> None:
     """Beside its place first, so that it appears there complete."""
-    zarr = require("zarr", "study")
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.partial")
+    part = partial(path)
+    _make(part, schema)
+    with committing():
+        if path.exists():
+            path.rmdir()  # empty
+        part.rename(path)
+
+
+def _make(part: Path, schema: Schema) -> None:
+    """A store without samples."""
+    zarr = require("zarr", "study")
     if part.exists():  # of a process that was killed here
         shutil.rmtree(part)
     group = zarr.open_group(str(part), mode="w", zarr_format=3)
     group.attrs.update(_plain(schema.attributes) | {FORMAT: VERSION})
+    # With a checksum of its own, so that whatever reads it refuses a damaged chunk.
+    compressor = zarr.codecs.ZstdCodec(checksum=True)
     dims = {"sample": ("sample",), DONE: ("chunk",)}
     dims |= {name: v.dims for name, v in schema.variables.items()}
     attributes = {name: v.attributes for name, v in schema.variables.items()}
@@ -222,6 +282,7 @@ def _create(path: Path, schema: Schema) -> None:
             shape=shape,
             chunks=chunks,
             dtype=dtype,
+            compressors=compressor,
             fill_value=np.nan if dtype.kind == "f" else dtype.type(0),
             dimension_names=dims[name],
             attributes=attributes.get(name, {}),
@@ -233,26 +294,34 @@ def _create(path: Path, schema: Schema) -> None:
             shape=values.shape,
             chunks=values.shape,
             dtype=str if text else values.dtype,
+            compressors=compressor,
             dimension_names=(name,),
             attributes=attributes.get(name, {}),
         )
         array[:] = values.astype(object) if text else values
-    if path.exists():
-        path.rmdir()  # empty
-    part.rename(path)
-
-
-def _checksum(arrays: Any) -> int:
-    found = 0
-    for array in arrays:
-        found = zlib.crc32(np.ascontiguousarray(array).tobytes(), found)
-    return found
+    attributes = dict(group.attrs)
+    attributes |= {ORDER: schema.order, FILES: file_checksums(part)}
+    group.attrs.update(attributes | {OWN: own_checksum(attributes)})
 
 
 def _damaged(path: Path, what: str) -> ValueError:
     return ValueError(
+        f"{path} is a damaged study: {what}. It is left as it is; `repair=True` "
+        "(--resume --repair) computes again what is damaged."
+    )
+
+
+def _broken(path: Path, what: str) -> ValueError:
+    return ValueError(
         f"{path} is a damaged study: {what}. It is left as it is; choose another path, or "
         "remove it to start again."
+    )
+
+
+def _other_version(path: Path, attributes: Mapping[str, Any]) -> ValueError:
+    return ValueError(
+        f"{path} has version {attributes[FORMAT]} of the format of studies, but this "
+        f"aslo_jax writes version {VERSION}. It is left as it is; choose another path."
     )
 
 

@@ -10,10 +10,11 @@ from pydantic import Field
 
 from ... import disturbances, random
 from ...disturbances import AbstractDisturbance
-from ...schema import NonNegative, Numbers, Positive, Table, Whole, key
+from ...schema import NonNegative, Numbers, Positive, Table, key
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Several = NonNegative | Annotated[list[NonNegative], Field(min_length=1)]
+LONGEST = 256  # samples of a delay, each an operation of every step
 SEVERAL = "a finite number that is not negative, or one for each entry of the signal"
 
 
@@ -99,10 +100,12 @@ class EncoderTable(AbstractDisturbanceTable):
     """Encoders, one for each coordinate."""
 
     kind: Literal["encoder"] = key("the kind of disturbance")
-    bits: Whole = key("of every encoder")
-    ranges: list[Positive] = key(
+    bits: Annotated[int, Field(gt=0, le=52)] = key(
+        "of every encoder", allowed="a whole number from 1 to 52"
+    )
+    ranges: Annotated[list[Positive], Field(min_length=1)] = key(
         "what each spans, a length (m) or 0 of `angles` a turn",
-        allowed="a list of positive finite numbers",
+        allowed="a list of positive finite numbers, one for each entry of the signal",
     )
     angles: list[bool] = key("which of them turn, within one turn (rad)", default=[])
 
@@ -117,8 +120,14 @@ class DelayTable(AbstractDisturbanceTable):
     """A delay of whole or fractional samples."""
 
     kind: Literal["delay"] = key("the kind of disturbance")
-    delay: NonNegative = key("in samples")
-    longest: Whole | None = key("the most that a spread gives, in samples", default=None)
+    delay: Annotated[float, Field(ge=0, le=LONGEST)] = key(
+        "in samples", allowed=f"a number from 0 to {LONGEST}"
+    )
+    longest: Annotated[int, Field(gt=0, le=LONGEST)] | None = key(
+        "the most that a spread gives, in samples",
+        default=None,
+        allowed=f"a whole number from 1 to {LONGEST}",
+    )
 
     def build(self, interval: float, stream: int) -> AbstractDisturbance:
         return disturbances.Delay(self.delay, self.longest)

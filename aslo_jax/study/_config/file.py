@@ -17,12 +17,18 @@ from ..._studies import NAMES
 from ...machines import Study, studies
 from ...metrics._base import MakeMetric
 from ...schema import Positive, Table, Whole, explain, key, read_toml
-from .._spread import Spread
+from .._names import check_names
+from .._spread import Spread, names_of
 from .control import Control
 from .disturbances import Disturbance, chained
 from .metrics import Metric
 from .observers import Observer
+from .shapes import check_shapes
 from .spread import SpreadItem, parameter
+
+MOST_STEPS = 10**9  # of a trajectory: samples in time are counted in 32 bits
+MOST_KEPT = 10**5  # errors of a trajectory that are kept
+MOST_PLANT_STEPS = 100  # each is traced by itself
 
 
 class ConfigurationError(ValueError):
@@ -35,7 +41,11 @@ class AbstractStudyTable(Table, abc.ABC):
     title: str = key("what the study is about")
     interval: Positive = key("between samples in time", "s")
     horizon: Positive = key("how long a trajectory is", "s")
-    plant_steps: Whole = key("Runge-Kutta steps in each interval", default=1)
+    plant_steps: Annotated[int, Field(gt=0, le=MOST_PLANT_STEPS)] = key(
+        "Runge-Kutta steps in each interval",
+        default=1,
+        allowed=f"a whole number from 1 to {MOST_PLANT_STEPS}",
+    )
     every: Whole | None = key(
         "keep the error of one in this many samples",
         default=None,
@@ -160,7 +170,18 @@ def _configured(table: AbstractStudyTable) -> Configuration:
                     f'`{place}.{k}.kind`, "{each.kind}", is for '
                     f"{' and '.join(each.places)} only."
                 )
-    steps = round(table.horizon / table.interval)
+    if not table.title.isprintable():
+        raise ConfigurationError(
+            "`title` must be text that can be printed, on one line, but is "
+            f"{table.title!r}."
+        )
+    ratio = table.horizon / table.interval
+    if not ratio <= MOST_STEPS:
+        raise ConfigurationError(
+            f"`horizon` must be at most {MOST_STEPS:g} intervals, "
+            f"{MOST_STEPS * table.interval:g} s, but is {table.horizon!r}."
+        )
+    steps = round(ratio)
     if steps < 1 or not np.isclose(steps * table.interval, table.horizon, rtol=1e-6):
         raise ConfigurationError(
             "`horizon` must be a whole number of intervals of "
@@ -169,6 +190,12 @@ def _configured(table: AbstractStudyTable) -> Configuration:
     if table.every is not None and steps % table.every:
         raise ConfigurationError(
             f"`every` must divide the {steps} samples of the horizon, but is {table.every}."
+        )
+    if table.every is not None and steps // table.every > MOST_KEPT:
+        raise ConfigurationError(
+            f"`every` must be at least {-(-steps // MOST_KEPT)}, to keep at most "
+            f"{MOST_KEPT:g} errors of the {steps} samples of the horizon, but is "
+            f"{table.every}."
         )
     entries, units = study.entries, study.units
     if table.scale is not None and len(table.scale) != len(entries):
@@ -179,6 +206,8 @@ def _configured(table: AbstractStudyTable) -> Configuration:
     try:
         experiment = _experiment(table, study)
         spread = Spread({n: parameter(t) for n, t in table.spread.items()}, table.design)
+        check_shapes(experiment)
+        check_names(table.observers, table.metrics, names_of(spread))
         metrics = {n: t.build(experiment.plant) for n, t in table.metrics.items()}
     except ValueError as error:
         raise ConfigurationError(str(error)) from error

@@ -1,6 +1,7 @@
 """`[spread.NAME]` of a study."""
 
 import abc
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -38,9 +39,13 @@ class NormalTable(AbstractSpreadTable):
     distribution: Literal["normal"] = key("the distribution")
     mean: float = key("mean")
     deviation: Positive = key("standard deviation")
+    low: float | None = key("nothing below is drawn", default=None)
+    high: float | None = key("nothing above is drawn", default=None)
 
     def law(self) -> AbstractDistribution:
-        return Normal(self.mean, self.deviation)
+        low = -math.inf if self.low is None else self.low
+        high = math.inf if self.high is None else self.high
+        return Normal(self.mean, self.deviation, low, high)
 
 
 class UniformTable(AbstractSpreadTable):

@@ -1,0 +1,132 @@
+"""Signals to commands in processes of their own: at whatever instant they come, the command
+ends at once, with one line, and leaves nothing that is not complete."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+from test_study_config import SMALL
+
+import aslo_jax
+from aslo_jax._interrupts import committing, ended_by_signals, unfinished
+
+DATA = Path(str(files("aslo_jax") / "data"))
+LOG = (str(DATA / "pmsm_log.csv"), "--machine", str(DATA / "motor.toml"))
+COMMANDS = {
+    "estimate": ("estimate", *LOG, "--out", "out.csv", "--plot", "out.png"),
+    "calibrate": ("calibrate", *LOG, "--out", "out.toml"),
+    "study": ("study", "in.toml", "--samples", "9999999", "--chunk", "256", "--out", "out"),
+    "tune": ("tune", "in.toml", "--samples", "4096", "--out", "out.toml"),
+}
+START = "import sys; from aslo_jax.cli import main; print('begun', flush=True); main()"
+# Seconds until the end. A second where the machine is free; here it runs other tests, too.
+LATEST = 2.0
+
+
+def interrupted(name: str, after: float, number: signal.Signals, folder: Path) -> str:
+    """What a command said that was given a signal so many seconds after its first line."""
+    (folder / "in.toml").write_text(SMALL)
+    root = Path(aslo_jax.__file__).parents[1]
+    process = subprocess.Popen(
+        [sys.executable, "-c", START, *COMMANDS[name]],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(root)},
+    )
+    assert process.stdout is not None and process.stdout.readline() == "begun\n"
+    time.sleep(after)
+    running = process.poll() is None
+    process.send_signal(number)
+    sent = time.perf_counter()
+    _, said = process.communicate(timeout=60)
+    assert time.perf_counter() - sent < LATEST
+    if running and process.returncode != 0:  # not at the end of what was done
+        assert process.returncode == 128 + number
+    left = {each.name for each in folder.iterdir()} - {"in.toml"}
+    if process.returncode == 0:
+        return ""
+    assert left <= {"out"}
+    assert not [*folder.rglob("*part*"), *folder.rglob(".*")]
+    if left:
+        assert [each.name for each in (folder / "out").iterdir()] == ["study.zarr"]
+    return said
+
+
+@pytest.mark.parametrize(
+    ("name", "after", "number", "word"),
+    [
+        ("estimate", 0.01, signal.SIGINT, "interrupted"),
+        ("tune", 0.4, signal.SIGTERM, "terminated"),
+        ("study", 3.5, signal.SIGINT, "interrupted"),
+    ],
+)
+def test_a_signal_ends_a_command(name, after, number, word, tmp_path):
+    lines = interrupted(name, after, number, tmp_path).splitlines()
+    assert lines[-1].startswith(f"aslo-jax: {word}")
+    assert "Traceback" not in "\n".join(lines)
+    if (tmp_path / "out").exists():
+        assert lines[-1].endswith("what is done is kept, go on with --resume")
+
+
+@pytest.mark.slow
+def test_signals_at_random_instants(tmp_path):
+    chance = random.Random(0)
+    for k in range(30):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        name = chance.choice(list(COMMANDS))
+        number = chance.choice((signal.SIGINT, signal.SIGTERM))
+        said = interrupted(name, chance.uniform(0.0, 8.0), number, folder)
+        assert "Traceback" not in said
+
+
+def in_a_process(code: str) -> subprocess.CompletedProcess:
+    start = "import os, signal, time\nfrom aslo_jax._interrupts import *\n"
+    return subprocess.run(
+        [sys.executable, "-c", start + code], capture_output=True, text=True, timeout=30
+    )
+
+
+def test_an_end_waits_for_what_is_being_committed():
+    code = """
+with ended_by_signals(restored=False), unfinished(lambda: os.write(1, b"removed\\n")):
+    with committing():
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.3)
+        os.write(1, b"committed\\n")
+    os.write(1, b"never\\n")
+"""
+    done = in_a_process(code)
+    assert done.stdout == "committed\nremoved\n"
+    assert (done.returncode, done.stderr) == (130, "aslo-jax: interrupted\n")
+
+
+def test_code_that_swallows_interrupts_does_not_keep_one():
+    code = """
+with ended_by_signals(restored=False):
+    while True:
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(5)
+        except BaseException:
+            pass
+"""
+    done = in_a_process(code)
+    assert (done.returncode, done.stderr) == (143, "aslo-jax: terminated\n")
+
+
+def test_handlers_are_restored():
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    with ended_by_signals(restored=True):
+        assert signal.getsignal(signal.SIGINT) is not before[0]
+        with unfinished(lambda: None), committing():
+            pass
+    assert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == before
