@@ -535,11 +535,11 @@ def test_samples_take_the_type_that_a_runner_is_made_for(dtype):
         (dict(steps=0), "`every` must divide `steps`"),
         (dict(every=3), "`every` must divide `steps`"),
         (dict(engine="warp"), '`engine` must be "auto", "fused" or "scan"'),
-        (dict(samples=(jnp.ones(2), jnp.ones(3))), "one leading axis of common length"),
-        (dict(samples=jnp.ones(())), "one leading axis of common length"),
+        (dict(parameters=(jnp.ones(2), jnp.ones(3))), "one leading axis of common length"),
+        (dict(parameters=jnp.ones(())), "one leading axis of common length"),
     ],
 )
 def test_arguments_out_of_range_are_refused(change, message):
-    arguments = dict(make=spun, samples=INERTIAS, steps=10, every=5) | change
+    arguments = dict(make=spun, parameters=INERTIAS, steps=10, every=5) | change
     with pytest.raises(ValueError, match=message):
         run_batch(**arguments)

@@ -219,7 +219,8 @@ def _metrics(
     """The metrics to run, with one for each observer of what makes them."""
     observers: list[str] = []
     if not all(isinstance(metric, AbstractMetric) for metric in metrics.values()):
-        observers = list(eqx.filter_eval_shape(make, like).observers)
+        made = eqx.filter_eval_shape(make, like)
+        observers = list(getattr(made, "observers", ()))  # a loop of one's own has none
     return {name: metric_of_each(metric, observers) for name, metric in metrics.items()}
 
 

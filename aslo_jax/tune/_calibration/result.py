@@ -104,7 +104,7 @@ class Calibration:
                 continue
             along = [str(d) for d in self.undetermined if name in d.parts]
             flat = f" (flat: {'; '.join(along)})" if along else ""
-            if self.withdrawn or self.reason != SETTLED:
+            if self.withdrawn or (self.reason != SETTLED and not along):
                 why = f"about {value:.3g}, without an interval: not trusted"
             elif np.isfinite(half):
                 why = f"about {value:.3g} {size}: too wide, not determined{flat}"
