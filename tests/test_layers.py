@@ -22,12 +22,12 @@ LAYERS = (
 )
 # Of the phases of `aslo_jax.engines`.
 PHASES = (
-    {"ir"},
-    {"frontend", "passes", "backend"},
-    {"llvm"},
-    {"runtime"},
-    {"fused"},
-    {"batch"},
+    {"_ir"},
+    {"_frontend", "_passes", "_backend"},
+    {"_llvm"},
+    {"_runtime"},
+    {"_fused"},
+    {"_batch"},
 )
 
 

@@ -35,6 +35,8 @@ class Truth:
         self, estimate: Float[np.ndarray, " N"], truth: Float[np.ndarray, " N"]
     ) -> None:
         """The next piece, certified rows alone."""
+        there = np.isfinite(estimate) & np.isfinite(truth)
+        estimate, truth = estimate[there], truth[there]
         if self._rows >= MOST or estimate.size < 32:
             return
         self._rows += estimate.size
