@@ -39,7 +39,7 @@ class Interval(NamedTuple):
 Drive = PyTree | Callable[[PyTree], PyTree]
 
 
-def _found(states: States, name: str) -> PyTree:
+def state_of(states: States, name: str) -> PyTree:
     if name not in states:
         raise ValueError(
             f"Argument `state` must be a state of this observer, which has `{name}`, but "
@@ -134,14 +134,14 @@ class Flow(AbstractRealisation):
         self.drives: States = {}
 
     def evolve(self, name: str, law: AbstractLaw, drive: Drive, start: PyTree) -> PyTree:
-        X = _found(self.states, name)
+        X = state_of(self.states, name)
         v = _at(drive, X)
         self.rates[name] = law.flow(X, v)
         self.drives[name] = v
         return X
 
     def shift(self, name: Any, by: Any) -> Any:
-        self.states = {**self.states, name: _found(self.states, name) + by}
+        self.states = {**self.states, name: state_of(self.states, name) + by}
 
     def loop(
         self, name: str, law: AbstractLaw, start: PyTree
@@ -149,7 +149,7 @@ class Flow(AbstractRealisation):
         def close(drive):
             return self.evolve(name, law, drive, start)
 
-        return _found(self.states, name), close
+        return state_of(self.states, name), close
 
 
 class Advance(AbstractRealisation):

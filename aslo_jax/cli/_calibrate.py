@@ -148,7 +148,7 @@ def calibrate(
         values = values_of(description, found)
         text = calibrated_text(machine.read_text(encoding="utf-8"), values)
         parts[0].write_text(text, encoding="utf-8")
-        check_calibrated(description, read_machine(parts[0]), recorded)
+        check_calibrated(description, read_machine(parts[0]), recorded, found)
         if plot:
             _draw(parts[1], log.name, recorded, description, read_machine(parts[0]))
         warned = warnings(found)

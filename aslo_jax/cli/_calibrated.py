@@ -1,16 +1,19 @@
 """What the command `calibrate` says of a calibration, and whether it may be written."""
 
+import dataclasses
 import json
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from ..logs import Log
 from ..machines import AbstractDescription, MachineError
 from ..tune import Calibration
 from ..tune._calibration.result import DOUBTFUL
+from ..tune._calibration.whiten import Signals
 from . import _table as table
 
 WORSE = 1.2  # times the residual that the old parameters leave
@@ -77,17 +80,24 @@ def as_json(
 
 
 def check_calibrated(
-    before: AbstractDescription, after: AbstractDescription, log: Log
+    before: AbstractDescription,
+    after: AbstractDescription,
+    log: Log,
+    found: Calibration,
 ) -> None:
     """Refuse parameters with which the observer does not run, or satisfies its relation
-    less well than with the old ones.
+    less well than with the old ones, on a log without the errors that were found in it.
 
     **Raises:** [`MachineError`][]."""
+    _, u, y = found.imperfections(
+        Signals(*map(jnp.asarray, (np.diff(log.t), log.u, log.y)))
+    )
+    log = dataclasses.replace(log, u=np.asarray(u), y=np.asarray(y))
     residuals = []
     for machine in (before, after):
         columns = table.estimate_log(log, machine, machine.rates(log))
-        found = machine.residuals(columns, log)
-        values = np.concatenate([np.ravel(x) for x in found.values()])
+        each = machine.residuals(columns, log)
+        values = np.concatenate([np.ravel(x) for x in each.values()])
         values = values[np.isfinite(values)]
         residuals.append(float(np.median(values)) if values.size else math.nan)
     old, new = residuals

@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from .._checks import kind, positive
 from .._filters import _Hold
 from .._module import Module
-from .._realise import Advance, Flow, Interval, Pass, Start, States
+from .._realise import Advance, Flow, Interval, Pass, Start, States, state_of
 from .._signals import check_signals
 from .._typing import PyTree
 from ._missing import DOUBT, Gap, either, marked, whole
@@ -220,10 +220,14 @@ class AbstractObserver(Module, Generic[Est]):
         tell. Before the first y that is finite
         nothing is known; there the observer begins.
         """
+        if jax.tree.map(jnp.shape, y) != jax.tree.map(jnp.shape, state.y):
+            self.allocate(y, u)  # which refuses it, before it is joined to the last one
         gap = Gap.before(u, state.y)[0] if state.gap is None else state.gap
         y = self.continued(state.y, y)
         now = whole(gap, state.y, u, y, dt, _kept(coefficients, substeps))
         begun = self.allocate(now.y, now.u).states
+        for name in begun:
+            state_of(state.states, name)
         states = either(now.first, begun, state.states)
         weight, before = now.weights
         ends = Interval(now.missing, weight, before), Interval(now.missing, weight)

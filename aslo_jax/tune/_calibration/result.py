@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .adequacy import Finding
+from .imperfections import Imperfections
 from .information import Information
 from .parameters import Parameters
 from .problem import Problem
@@ -51,6 +52,8 @@ class Calibration:
     - `after`: the estimate, and NaN for one that is not determined;
     - `interval`: by name, (low, high), which holds the true value with the `confidence`;
       NaN where the record says nothing, and where the intervals are `withdrawn`;
+    - `imperfections`: the errors of the record as they were found, none where none were
+      asked for: called with a log they correct it;
     - `withdrawn`: why no interval can be trusted, empty where they can;
     - `findings`: errors of the record that were not fitted and that it shows beyond doubt;
     - `undetermined`: directions that the record does not determine;
@@ -70,6 +73,7 @@ class Calibration:
     estimate: dict[str, float]
     after: dict[str, float]
     interval: dict[str, tuple[float, float]]
+    imperfections: Imperfections
     withdrawn: str
     findings: tuple[Finding, ...]
     undetermined: tuple[Undetermined, ...]
@@ -190,6 +194,7 @@ def summed_up(
         estimate=estimate,
         after=after,
         interval=interval,
+        imperfections=problem.split(v)[0].imperfections,
         withdrawn=withdrawn,
         findings=findings,
         undetermined=_flat(known, names, resolution / factor),
