@@ -8,7 +8,6 @@ from ._filters import (
     LinearSystem as LinearSystem,
     LowPass as LowPass,
     bias_rejecting as bias_rejecting,
-    check_filter as check_filter,
     second_order as second_order,
     sinusoid_rejecting as sinusoid_rejecting,
 )
@@ -21,7 +20,6 @@ __all__ = [
     "LinearSystem",
     "LowPass",
     "bias_rejecting",
-    "check_filter",
     "second_order",
     "sinusoid_rejecting",
 ]

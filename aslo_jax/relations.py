@@ -6,11 +6,7 @@ from ._relations import (
     Quadratic as Quadratic,
     Rate as Rate,
     Row as Row,
-    contract as contract,
-    filtered_rows as filtered_rows,
-    settled as settled,
     swap as swap,
-    terms_of as terms_of,
 )
 
 __all__ = [
@@ -19,9 +15,5 @@ __all__ = [
     "Quadratic",
     "Rate",
     "Row",
-    "contract",
-    "filtered_rows",
-    "settled",
     "swap",
-    "terms_of",
 ]

@@ -3,10 +3,7 @@ form: the assumptions of the paper's section 4.3, decided from M(q) and R(q) alo
 """
 
 from ._structure import (
-    INSTEAD as INSTEAD,
-    POINTS as POINTS,
     Friction as Friction,
-    Region as Region,
     Structure as Structure,
     StructureError as StructureError,
     decay_rate as decay_rate,
@@ -14,10 +11,7 @@ from ._structure import (
 )
 
 __all__ = [
-    "INSTEAD",
-    "POINTS",
     "Friction",
-    "Region",
     "Structure",
     "StructureError",
     "decay_rate",

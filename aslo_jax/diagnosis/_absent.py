@@ -14,7 +14,7 @@ TURN = 0.4  # rad: over holes in which a signal turns by less a straight line wi
 
 
 def absent_rows(log: Log) -> Bool[np.ndarray, " N"]:
-    """Which rows of a log have a sample that is not finite."""
+    """Which rows of a `log` have a sample that is not finite, shape `(N,)`."""
     return ~np.asarray(np.isfinite(log.u).all(axis=1) & np.isfinite(log.y).all(axis=1))
 
 
@@ -42,7 +42,8 @@ def _far(x: Float[np.ndarray, "N n"], near: Bool[np.ndarray, " N"]) -> np.ndarra
 
 
 def bridged(log: Log, absent: Bool[np.ndarray, " N"]) -> Log:
-    """The log with straight lines over what is missing; zero where nothing is there."""
+    """The `log` with straight lines over what is missing, the rows `absent`, shape `(N,)`;
+    zero where nothing is there."""
     if not absent.any():
         return log
     return dataclasses.replace(log, u=_lines(log.u), y=_lines(log.y))

@@ -39,7 +39,9 @@ class AbstractDistribution(abc.ABC):
 @dataclasses.dataclass(frozen=True)
 class Normal(AbstractDistribution):
     """The normal distribution of a `mean` and a standard `deviation`, of which only what is
-    between `low` and `high` is drawn: truncated, where they are finite."""
+    between `low` and `high` is drawn: truncated, where they are finite.
+
+    **Raises:** `ValueError` for a `deviation` that is not positive, or `high` below `low`."""
 
     mean: float
     deviation: float
