@@ -12,8 +12,8 @@ SHORTEST = 1e-7  # s: no log is sampled faster
 
 
 def of_stamps(t: Float[np.ndarray, " N"], longest: float) -> Diagnosis:
-    """The verdict on the instants `t` (s), shape `(N,)`, of a log, of a machine whose median
-    interval is below `longest` (s) in any sensible log."""
+    """The verdict on the instants `t` (s), shape `(N,)`, of a log, of a machine whose
+    median interval is below `longest` (s) in any sensible log."""
     interval = float(np.median(np.diff(t)))
     found = [*_unit(interval, longest), *_steps(t[:MOST])]
     return Diagnosis(tuple(found))

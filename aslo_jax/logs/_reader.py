@@ -82,8 +82,8 @@ class LogReader:
     """A log that is read, checked and given piece by piece, so that it need not fit into
     memory. A [`Source`][] may stand for a path.
 
-    - `path`, `signals`, `columns`, `max_gap` (s), `frame`, `missing`, `most_missing`: as in
-      [`read_log`][], and so is the argument `truth`.
+    - `path`, `signals`, `columns`, `max_gap` (s), `frame`, `missing`, `most_missing`,
+      `remove_offset`: as in [`read_log`][], and so is the argument `truth`.
 
     - `t`: every sampling instant (s), shape `(N,)`; `interval`: the median one (s);
     - `optional`: whether the file has the optional inputs;

@@ -41,7 +41,8 @@ class Normal(AbstractDistribution):
     """The normal distribution of a `mean` and a standard `deviation`, of which only what is
     between `low` and `high` is drawn: truncated, where they are finite.
 
-    **Raises:** `ValueError` for a `deviation` that is not positive, or `high` below `low`."""
+    **Raises:** `ValueError` for a `deviation` that is not positive, for limits that cross
+    or lie far off the mean."""
 
     mean: float
     deviation: float
