@@ -48,7 +48,7 @@ def interrupted(name: str, after: float, number: signal.Signals, folder: Path) -
     sent = time.perf_counter()
     _, said = process.communicate(timeout=60)
     assert time.perf_counter() - sent < LATEST
-    # At the end of what was done it is Python that ends; a shell says 128 + number then, too.
+    # At the very end it is Python that ends; a shell says 128 + number then, too.
     if running and process.returncode not in (0, -number):
         assert process.returncode == 128 + number
     left = {each.name for each in folder.iterdir()} - {"in.toml"}
