@@ -161,8 +161,11 @@ def summed_up(
         ends = np.sort(values(j, [found.low, found.high]))
         if not np.isfinite([found.low, found.high]).all():
             ends = np.full(2, np.nan)
-        interval[name] = (float(ends[0]), float(ends[1]))
         half[name] = float(np.max(np.abs(ends - estimate[name])))
+        # First and second order say about as much: an interval that wide holds too seldom.
+        if not found.parabolic and not half[name] < resolution * abs(estimate[name]):
+            ends, half[name] = np.full(2, np.nan), np.nan
+        interval[name] = (float(ends[0]), float(ends[1]))
     moved = lambda finding, j: abs(finding.shift[j] * _slope(parameters, v, j))
     blamed = [
         finding
