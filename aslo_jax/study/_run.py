@@ -156,7 +156,7 @@ def open_study(path: str | Path) -> "xarray.Dataset":
     attributes = stored_attributes(Path(path))
     refuse_damaged_files(Path(path), attributes)
     xarray = require("xarray", "study")
-    found = xarray.open_zarr(str(path), consolidated=False, chunks=None)
+    found = xarray.open_zarr(str(path), consolidated=False, chunks=None)  # not a copy
     # As they are in memory; NumPy's new type of text has few operations yet.
     text = {
         name: (x.dims, np.array([str(each) for each in x.values]), x.attrs)
@@ -164,7 +164,7 @@ def open_study(path: str | Path) -> "xarray.Dataset":
         if x.dtype.kind == "T"
     }
     found.attrs = {k: x for k, x in found.attrs.items() if k not in INTERNAL}
-    return found.drop_vars("done").assign_coords(text)
+    return found.assign_coords(text)
 
 
 def _allocated(schema: Schema) -> dict[str, np.ndarray]:

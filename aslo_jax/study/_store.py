@@ -1,7 +1,7 @@
 """The store of a study: one Zarr group that xarray reads, written chunk by chunk.
 
 The arrays are made as a whole, with chunks of their own for every chunk of samples. A chunk
-is written in two steps: its data, then a mark in the array `done`, which is the checksum
+is written in two steps: its data, then a mark in the array `internal/done`, the checksum
 of the data and appears by one rename. So a process that is killed leaves chunks that are
 marked and right, and chunks that are not marked and are computed again. All other files
 have checksums, too ([`verification`][]).
@@ -9,6 +9,7 @@ have checksums, too ([`verification`][]).
 
 import json
 import shutil
+import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,12 +30,13 @@ from ._verification import (
     damaged_files,
     file_checksums,
     mark,
+    opened,
     own_checksum,
 )
 
 FORMAT = "aslo_jax_study"  # the attribute that marks a store, and its version
-VERSION = 2
-ORDER = "order"  # the attribute with the arrays that hold samples, in the checksum's order
+VERSION = 3
+ORDER = "order"  # the attribute with the arrays of samples, as the checksum takes them
 INTERNAL = (ORDER, FILES, OWN)  # of no interest to who reads the results
 
 
@@ -88,8 +90,7 @@ class Store:
 
     def __init__(self, path: Path, schema: Schema) -> None:
         self.path, self.schema = path, schema
-        zarr = require("zarr", "study")
-        self._group = zarr.open_group(str(path), mode="r+", zarr_format=3)
+        self._group = opened(path, "r+")
 
     def write(self, number: int, data: Data) -> None:
         """Write a chunk: its data, then its mark. Writing the same again is harmless."""
@@ -148,7 +149,7 @@ def verify(path: Path) -> Damage:
     attributes = stored_attributes(path)
     if attributes[FORMAT] != VERSION:
         raise _other_version(path, attributes)
-    return damage(path, attributes, attributes[ORDER])
+    return damage(path, attributes, json.loads(attributes[ORDER]))
 
 
 def refuse_damaged_files(path: Path, attributes: Mapping[str, Any]) -> None:
@@ -204,7 +205,7 @@ def stored_attributes(path: Path) -> dict[str, Any]:
             f"{path} is a Zarr group, but not a study of aslo_jax: it has no attribute "
             f"`{FORMAT}`. It is left as it is; choose another path."
         )
-    if attributes[FORMAT] == VERSION and attributes.get(OWN) != own_checksum(attributes):
+    if attributes[FORMAT] == VERSION and attributes.get(OWN) != own_checksum(content):
         raise _broken(path, "its zarr.json is not what was written")
     return attributes
 
@@ -230,9 +231,8 @@ def _check(path: Path, schema: Schema) -> None:
 
 def _check_arrays(path: Path, schema: Schema) -> None:
     """Every array is there, with its shape, type and chunks."""
-    zarr = require("zarr", "study")
     try:
-        group = zarr.open_group(str(path), mode="r", zarr_format=3)
+        group = opened(path, "r")
         for name, shape, chunks, dtype in _arrays(schema):
             array = group[name]
             if (array.shape, array.chunks, array.dtype) != (shape, chunks, dtype):
@@ -299,9 +299,16 @@ def _make(part: Path, schema: Schema) -> None:
             attributes=attributes.get(name, {}),
         )
         array[:] = values.astype(object) if text else values
-    attributes = dict(group.attrs)
-    attributes |= {ORDER: schema.order, FILES: file_checksums(part)}
-    group.attrs.update(attributes | {OWN: own_checksum(attributes)})
+    group.attrs.update(
+        {ORDER: json.dumps(schema.order), FILES: json.dumps(file_checksums(part))}
+    )
+    with warnings.catch_warnings():
+        # That other libraries than Zarr's may not know it.
+        warnings.filterwarnings("ignore", "Consolidated metadata")
+        zarr.consolidate_metadata(str(part))
+    content = json.loads((part / "zarr.json").read_text())
+    content["attributes"][OWN] = own_checksum(content)
+    (part / "zarr.json").write_text(json.dumps(content, indent=2))
 
 
 def _damaged(path: Path, what: str) -> ValueError:

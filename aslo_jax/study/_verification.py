@@ -1,8 +1,9 @@
 """What is damaged in the store of a study, and its mending.
 
-Every chunk of samples has a checksum, its mark in the array `done`. All other files, the
-descriptions of arrays and the coordinates, are written once, and their checksums are in the
-attributes of the store, which have one themselves.
+Every chunk of samples has a checksum, its mark in the array `internal/done`. All other
+files, the descriptions of arrays and the coordinates, are written once, and their checksums
+are in the attributes of the store, which have one themselves, together with the copy of all
+descriptions beside them (consolidated metadata) that xarray opens a store by.
 """
 
 import json
@@ -15,9 +16,9 @@ import numpy as np
 
 from .._extras import require
 
-FILES = "files"  # the attribute that holds checksums of files
+FILES = "files"  # the attribute that holds checksums of files, as JSON
 OWN = "checksum"  # the attribute that holds that of all attributes but itself
-DONE = "done"
+DONE = "internal/done"  # in a group of its own, so that xarray does not show it
 MARK = 2**32  # added to a checksum of 32 bits, so that a mark is never zero
 
 
@@ -62,6 +63,12 @@ def ranges(numbers: Iterable[int]) -> str:
     return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in found)
 
 
+def opened(path: Path, mode: str) -> Any:
+    """The Zarr group of a store, by the descriptions of its arrays, not by their copy."""
+    zarr = require("zarr", "study")
+    return zarr.open_group(str(path), mode=mode, zarr_format=3, use_consolidated=False)
+
+
 def file_checksums(path: Path) -> dict[str, int]:
     """Of every file of a store that was just made, but its own description."""
     files = (p for p in path.rglob("*") if p.is_file() and p != path / "zarr.json")
@@ -77,16 +84,18 @@ def damaged_files(path: Path, attributes: Mapping[str, Any]) -> tuple[str, ...]:
         except OSError:
             return False
 
-    files = attributes.get(FILES, {})
+    files = json.loads(attributes.get(FILES, "{}"))
     return tuple(
         sorted(name for name, checksum in files.items() if not right(name, checksum))
     )
 
 
-def own_checksum(attributes: Mapping[str, Any]) -> int:
-    """Of all attributes."""
-    rest = {name: x for name, x in attributes.items() if name != OWN}
-    return zlib.crc32(json.dumps(rest, sort_keys=True).encode())
+def own_checksum(content: Mapping[str, Any]) -> str:
+    """Of the description of a store, the content of its `zarr.json`; a text, since not
+    every format that xarray writes has such large numbers."""
+    rest = {name: x for name, x in content["attributes"].items() if name != OWN}
+    whole = json.dumps(content | {"attributes": rest}, sort_keys=True)
+    return f"{zlib.crc32(whole.encode()):08x}"
 
 
 def checksum(arrays: Any) -> int:
@@ -115,7 +124,7 @@ def damage(path: Path, attributes: Mapping[str, Any], names: Iterable[str]) -> D
     # An array whose description is damaged cannot be read, whatever its chunks are.
     if any(name.endswith("zarr.json") for name in files):
         return Damage(files, (), ())
-    group = require("zarr", "study").open_group(str(path), mode="r", zarr_format=3)
+    group = opened(path, "r")
     names, chunks, missing = list(names), [], []
     for number in range(count):
         wanted = mark(group[DONE], number)
