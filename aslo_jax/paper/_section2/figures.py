@@ -38,7 +38,8 @@ def transients(runs: Runs) -> Figure:
         axes = figure.subplots(2, 2, sharex=True, sharey=True)
         for ax, (title, errors, gain, values) in zip(axes.flat, panels, strict=True):
             for style, value, error in zip(STYLES, values, errors[..., 0], strict=True):
-                ax.plot(t, error, label=f"{symbol(gain)} = {value:g} rad/s", **style)
+                name = symbol(gain).replace(" ", "_")
+                ax.plot(t, error, label=f"{name} = {value:g} rad/s", **style)
             ax.set(title=title, xlim=(0, 5))
             ax.legend(loc="lower right")
         for ax in axes[:, 0]:
