@@ -264,6 +264,14 @@ def test_a_second_study_on_one_store_is_refused(tmp_path):
     assert [each.name for each in tmp_path.iterdir()] == ["run.zarr"]
 
 
+def test_variables_are_in_the_order_of_memory(whole, stored):
+    """However the files of a store are listed."""
+    found = open_study(stored)
+    assert list(found.data_vars) == list(whole.data_vars)
+    assert list(found.coords) == list(whole.coords)
+    assert list(found.dims) == list(whole.dims)
+
+
 def test_opening_what_is_no_study(tmp_path):
     with pytest.raises(ValueError, match="not a study of aslo_jax"):
         open_study(tmp_path)

@@ -21,6 +21,7 @@ from ._problem import BLOCK, CHUNK, Problem, Study
 from ._spread import Parameter, Spread
 from ._store import (
     INTERNAL,
+    ORDER,
     Data,
     Schema,
     Store,
@@ -157,14 +158,21 @@ def open_study(path: str | Path) -> "xarray.Dataset":
     refuse_damaged_files(Path(path), attributes)
     xarray = require("xarray", "study")
     found = xarray.open_zarr(str(path), consolidated=False, chunks=None)
-    # As they are in memory; NumPy's new type of text has few operations yet.
-    text = {
+    # NumPy's new type of text has few operations yet.
+    coordinates = {
         name: (x.dims, np.array([str(each) for each in x.values]), x.attrs)
-        for name, x in found.coords.items()
         if x.dtype.kind == "T"
+        else x.variable
+        for name, x in found.coords.items()
     }
-    found.attrs = {k: x for k, x in found.attrs.items() if k not in INTERNAL}
-    return found.drop_vars("done").assign_coords(text)
+    # A group is listed in any order: as they are in memory.
+    variables = {name: found[name].variable for name in attributes[ORDER][1:]}
+    dims = dict.fromkeys(["sample", *(d for x in variables.values() for d in x.dims)])
+    return xarray.Dataset(
+        variables,
+        {name: coordinates[name] for name in dims if name in coordinates},
+        {k: x for k, x in found.attrs.items() if k not in INTERNAL},
+    )
 
 
 def _allocated(schema: Schema) -> dict[str, np.ndarray]:
