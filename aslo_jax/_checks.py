@@ -1,7 +1,7 @@
 """Checks of arguments at construction: concrete values are refused, tracers pass."""
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, get_args
 
 import jax
@@ -14,11 +14,15 @@ from . import _choices
 from ._typing import Numbers
 
 
-def real(x: Numbers) -> Array:
-    """Convert `x` to a floating-point array; arrays keep their floating dtype."""
-    if isinstance(x, str | bytes):
-        raise ValueError(f"A number, or an array of numbers, is needed, but got {x!r}.")
+def real(x: Numbers, name: str | None = None) -> Array:
+    """Convert `x`, the argument `name`, to a floating-point array; arrays keep their
+    floating dtype."""
     dtype = getattr(x, "dtype", None)
+    wrong = isinstance(x, str | bytes | bool | complex | Mapping) or x is None
+    if wrong or (dtype is not None and _no_number(dtype)):
+        argument = "Arguments" if name is None else f"Argument `{name}`"
+        got = repr(x) if dtype is None else str(dtype)
+        raise ValueError(f"{argument} must hold real numbers, but got {got}.")
     floating = dtype is not None and jnp.issubdtype(dtype, jnp.floating)
     if not is_concrete(x):
         return jnp.asarray(x, None if floating else float)
@@ -27,9 +31,25 @@ def real(x: Numbers) -> Array:
         return jnp.asarray(x, None if floating else float)
 
 
-def optional_real(x: Numbers | None) -> Array | None:
+def _no_number(dtype: Any) -> bool:
+    """Whether an array of this type holds what is no real number: text, objects, dates."""
+    real_number = jnp.issubdtype(dtype, jnp.integer) or jnp.issubdtype(dtype, jnp.floating)
+    return not (real_number or jnp.issubdtype(dtype, jnp.bool_))
+
+
+def optional_real(x: Numbers | None, name: str | None = None) -> Array | None:
     """As [`real`][], but `None` stays `None`."""
-    return None if x is None else real(x)
+    return None if x is None else real(x, name)
+
+
+def number(name: str, x: Any, unit: str) -> None:
+    """Refuse an `x`, in `unit`, that is not one real number; it may be traced."""
+    dtype, shape = getattr(x, "dtype", None), getattr(x, "shape", ())
+    plain = isinstance(x, float | int) and not isinstance(x, bool)
+    if plain or (dtype is not None and not _no_number(dtype) and shape == ()):
+        return
+    got = f"an array of shape {shape}" if shape else repr(x)
+    raise ValueError(f"Argument `{name}` must be a number ({unit}), but got {got}.")
 
 
 def is_concrete(*xs: Any) -> bool:

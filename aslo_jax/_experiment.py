@@ -8,16 +8,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from ._checks import divides, function, kind, positive, real
+from ._checks import counted, divides, function, kind, positive, real
 from ._module import Module
 from ._runge_kutta import runge_kutta
 from ._typing import PyTree
 from .control import AbstractController
 from .control._base import controlled
 from .disturbances import AbstractDisturbance, DisturbanceState, check_streams
+from .disturbances._streams import check_disturbances
 from .observers import AbstractObserver, ObserverState
 from .observers._base import Est, check_observers, named
 from .plants import AbstractPlant
+from .plants._base import check_first
 
 __all__ = ["Carry", "Experiment", "Record"]
 
@@ -66,8 +68,9 @@ class Experiment(Module, Generic[Est]):
     It is one pytree: `jax.vmap`, `jax.grad` and `eqx.tree_at` reach every parameter in it.
 
     **Raises:** `ValueError` for an `interval` that is not positive, for `plant_steps` below
-    1, for what is no plant, controller or observer, and for random disturbances that share
-    a key and a stream.
+    1, for what is no plant, controller, observer or disturbance, for random disturbances
+    that share a key and a stream, and when it runs, for an `initial` that is not like the
+    plant's.
     """
 
     plant: AbstractPlant
@@ -85,6 +88,7 @@ class Experiment(Module, Generic[Est]):
         positive("interval", self.interval, "s")
         kind("plant", self.plant, AbstractPlant, hint="a plant")
         check_observers(self.observers)
+        check_disturbances(self.actuator, self.sensor, self.input_sensor)
         function("feedback", self.feedback)
         if self.plant_steps < 1:
             raise ValueError(
@@ -96,6 +100,7 @@ class Experiment(Module, Generic[Est]):
         """The carry and the record at the first sample, t = 0."""
         x = self.plant.initial() if self.initial is None else self.initial
         x = jax.tree.map(jnp.asarray, x)
+        check_first(self.plant, x)
         t = jnp.zeros_like(self.interval)
         output = self.plant.output(x)
         sensor = _at_samples("sensor", self.sensor, t, output, output)
@@ -151,6 +156,7 @@ class Experiment(Module, Generic[Est]):
     def run(self, steps: int, every: int = 1) -> Record[Est]:
         """Run `steps` intervals and record every `every`-th sample, the first included:
         leaves with a leading axis of length `steps // every + 1`."""
+        steps, every = counted("steps", steps), counted("every", every)
         divides(every, steps)
         return _run(self, steps, every)
 

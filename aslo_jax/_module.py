@@ -1,6 +1,9 @@
 """The base of every module of the library."""
 
-from typing import Any
+import dataclasses
+import functools
+from types import MappingProxyType
+from typing import Any, get_args
 
 import equinox as eqx
 import jax
@@ -8,15 +11,58 @@ import jax.core
 import numpy as np
 import wadler_lindig as wl
 
+from ._checks import optional_real, real
+
 WIDTH = 92  # columns
 ENTRIES = 8  # from which on an array is abbreviated
+AXES = {0: "a number", 1: "a vector", 2: "a matrix"}
 
 
 class Module(eqx.Module):
-    """An `equinox.Module` whose `repr` shows values where it can, not types alone."""
+    """An `equinox.Module` whose `repr` shows values where it can, not types alone. Its
+    parameters, the fields that are converted to real numbers, have as many axes as their
+    annotation says.
+
+    **Raises:** `ValueError` for a parameter that holds what is no number, or that is an
+    array where a number is meant.
+    """
+
+    def __init_subclass__(cls, **settings: Any) -> None:
+        super().__init_subclass__(**settings)
+        for name, field in vars(cls).items():
+            if not isinstance(field, dataclasses.Field):
+                continue
+            converter: Any = field.metadata.get("converter")
+            if converter is real or converter is optional_real:
+                named = {"converter": functools.partial(converter, name=name)}
+                field.metadata = MappingProxyType(dict(field.metadata) | named)
+
+    def __check_init__(self) -> None:
+        for name, axes in _axes(type(self)).items():
+            x = getattr(self, name)
+            if isinstance(x, jax.Array | np.ndarray) and x.ndim not in axes:
+                words = " or ".join(AXES.get(n, f"an array of {n} axes") for n in axes)
+                raise ValueError(
+                    f"Argument `{name}` must be {words}, but got an array of shape "
+                    f"{x.shape}."
+                )
 
     def __repr__(self) -> str:
         return wl.pformat(self, width=WIDTH, custom=_value)
+
+
+@functools.cache
+def _axes(kind: type[Module]) -> dict[str, tuple[int, ...]]:
+    """How many axes each parameter of a kind of modules may have, where that is known."""
+    found = {}
+    for field in dataclasses.fields(kind):
+        annotations = get_args(field.type) or (field.type,)
+        texts = [getattr(each, "dim_str", None) for each in annotations]
+        sizes = [text.split() for text in texts if text is not None]
+        known = not any("*" in size or size == "..." for each in sizes for size in each)
+        if "converter" in field.metadata and sizes and known:
+            found[field.name] = tuple(len(each) for each in sizes)
+    return found
 
 
 def _value(x: Any) -> wl.AbstractDoc | None:

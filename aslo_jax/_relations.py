@@ -72,12 +72,13 @@ class AbstractTerms(Module):
 
     def check(self, relation: Callable[..., Any]) -> None:
         """Refuse terms that have broadcast: of `relation`, which is named."""
-        if self.z.ndim != 1:
+        beside = jnp.shape(self.z)
+        if len(beside) != 1:
             raise ValueError(
                 f"The term `z` of a relation must have the shape (n,) of the state, but "
-                f"{_name(relation)} gives {self.z.shape}; check the shapes of `u` and `y`."
+                f"{_name(relation)} gives {beside}; check the shapes of `u` and `y`."
             )
-        n = self.z.shape[0]
+        n = beside[0]
         for name, shape in (("c", (n,)), ("d", ()), ("s", ()), ("A", (n, n))):
             term = getattr(self, name, None)
             if term is not None and jnp.shape(term) != shape:

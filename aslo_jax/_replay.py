@@ -11,14 +11,13 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from . import _choices
-from ._checks import is_concrete, kind, one_of, real
+from ._checked_log import Checked, checked_log
+from ._checks import is_concrete, kind, one_of
+from ._realise import check_states
 from ._typing import Engine, Missing, PyTree
 from .observers import AbstractObserver, Estimate, ObserverState
 from .observers._base import Est
 from .observers._missing import either, finite, marked, zeros
-
-PIECE = 1 << 20  # instants looked at at once
-Checked = tuple[Any, PyTree, PyTree, Any]  # the first instant (s), u, y, and intervals (s)
 
 
 @overload
@@ -117,45 +116,17 @@ def replay(
 
     **Raises:** `ValueError` (or, under `jax.jit`, an error from `eqx.error_if`) for
     shapes that differ, a sample that is not finite where that is refused, time that does
-    not increase, or a gap above `max_gap`; [`NotFusible`][] for an observer that the fused
-    engine cannot compile.
+    not increase, a gap above `max_gap`, or the state of another observer;
+    [`NotFusible`][] for an observer that the fused engine cannot compile.
     """
     one_of("engine", engine, _choices.Engine)
     kind("observer", observer, AbstractObserver, hint="an observer")
     one_of("missing", missing, _choices.Missing)
+    kind("state", state, ObserverState, hint="a state of this observer, from `init`")
     log, common = checked_log(t, u, y, max_gap, missing)
     coasts = missing == "coast" or _amid(state)
     estimate, final = run_log(observer, log, common, substeps, state, engine, coasts)
     return (estimate, final) if return_state else estimate
-
-
-def checked_log(
-    t: ArrayLike,
-    u: PyTree[ArrayLike],
-    y: PyTree[ArrayLike],
-    max_gap: float | None = None,
-    missing: str = "refuse",
-) -> tuple[Checked, Any]:
-    """A log whose shapes, instants and values are as [`replay`][] wants them, for
-    [`run_log`][], and its interval (s) if there is a common one."""
-    u, y = _signal("u", u), _signal("y", y)
-    # Concrete instants keep the precision they came with until intervals are taken: JAX's
-    # single precision resolves 1 ms after 10,000 s.
-    instants = np.asarray(t) if is_concrete(t) else jnp.asarray(t)
-    _check_shapes(instants, u, y)
-    instants = _check_time(instants, max_gap)
-    interval = common_interval(instants)
-    if missing == "refuse":
-        u, y = _check_finite("u", u), _check_finite("y", y)
-    elif missing == "interpolate":
-        # The last u belongs to no interval.
-        u, y = _joined("u", u, instants, 1), _joined("y", y, instants, 0)
-    if interval is None:
-        xp = np if is_concrete(instants) else jnp
-        intervals, common = real(xp.diff(instants)), None
-    else:
-        intervals, common = None, real(interval)
-    return (real(instants[0]), u, y, intervals), common
 
 
 def run_log(
@@ -214,8 +185,9 @@ def _run(
     u0, y0 = jax.tree.map(lambda s: s[0], (u, y))
     if state is None:
         state = observer.init(y0, u0)
-    first = _first(observer, t0, state, u0, y0, coasts)
     laws = observer.allocate(y0, u0)
+    check_states(state.states, laws.states)
+    first = _first(observer, t0, state, u0, y0, coasts)
     coefficients = None if common is None else laws.discretise(common / substeps)
 
     def body(state, sample):
@@ -287,8 +259,10 @@ def _begun_by_machine_code(*arguments):
 
 def _beginning(observer, t0, u, y, state, interval, coasts):
     """The state to begin with, its estimate, and the coefficients for an `interval` (s)."""
+    begun = observer.allocate(y, u)
     state = observer.init(y, u) if state is None else state
-    laws = None if interval is None else observer.allocate(y, u).discretise(interval)
+    check_states(state.states, begun.states)
+    laws = None if interval is None else begun.discretise(interval)
     return state, _first(observer, t0, state, u, y, coasts), laws
 
 
@@ -303,148 +277,3 @@ def _first(observer, t0, state, u, y, coasts):
     u = either(finite(u), u, zeros(u))
     y = either(there, observer.continued(state.y, y), state.y)
     return marked(observer.estimate(t0, state, u, y), ~there, Estimate)
-
-
-def _signal(name: str, signal: PyTree) -> PyTree:
-    """Arrays of real numbers."""
-    for leaf in jax.tree.leaves(signal):
-        if not hasattr(leaf, "dtype"):
-            raise ValueError(
-                f"Argument `{name}` must hold arrays, but one of its leaves is the "
-                f"{type(leaf).__name__} {leaf!r}; convert a list by `np.asarray`."
-            )
-        if np.issubdtype(leaf.dtype, np.complexfloating):
-            raise ValueError(
-                f"Argument `{name}` must be real, but got {leaf.dtype}; stack real and "
-                "imaginary parts, alpha and beta, along the last axis."
-            )
-    return jax.tree.map(real, signal)
-
-
-def _check_shapes(t: Array | np.ndarray, u: PyTree, y: PyTree) -> None:
-    if t.ndim != 1 or t.shape[0] < 2:
-        raise ValueError(
-            "Argument `t` must be a vector of at least two instants, but got shape "
-            f"{t.shape}."
-        )
-    for name, signal in (("u", u), ("y", y)):
-        for leaf in jax.tree.leaves(signal):
-            if leaf.ndim == 0 or leaf.shape[0] != t.shape[0]:
-                raise ValueError(
-                    f"Argument `{name}` must have one row for each of the "
-                    f"{t.shape[0]} instants of `t`, but got shape {leaf.shape}."
-                )
-
-
-def common_interval(t: Any) -> float | None:
-    """The interval of evenly spaced instants, or `None` where they are uneven or traced."""
-    if not is_concrete(t):
-        return None
-    largest = max(abs(t[0]), abs(t[-1]))  # it increases
-    rounding = 4 * np.finfo(t.dtype).eps * largest if t.dtype.kind == "f" else 0
-    interval = float(t[-1] - t[0]) / (t.size - 1)
-    for first in range(0, t.size, PIECE):  # a long log is not held several times
-        piece = t[first : first + PIECE]
-        even = t[0] + interval * np.arange(first, first + piece.size)
-        if not np.abs(piece - even.astype(t.dtype)).max() <= rounding:
-            return None
-    return interval if interval > 0 else None
-
-
-def _check_time(t: Any, max_gap: float | None) -> Any:
-    limit = jnp.inf if max_gap is None else max_gap
-    if not is_concrete(t):
-        gaps = jnp.diff(t)
-        t = eqx.error_if(
-            t,
-            ~jnp.all(jnp.isfinite(t)) | ~jnp.all(gaps > 0),
-            "Argument `t` must be finite and strictly increasing.",
-        )
-        return eqx.error_if(
-            t,
-            jnp.any(gaps > limit),
-            f"Argument `t` must have no gap longer than `max_gap` = {max_gap} s.",
-        )
-    times = t
-    if not np.isfinite(times).all():
-        row = int(np.argmin(np.isfinite(times)))
-        raise ValueError(
-            f"Argument `t` must be finite, but t[{row}] = {times[row]}; remove or repair "
-            "that row."
-        )
-    gaps = np.diff(times)
-    if not (gaps > 0).all():
-        row = int(np.argmin(gaps > 0)) + 1
-        raise ValueError(
-            f"Argument `t` must be strictly increasing, but t[{row}] = {times[row]} s "
-            f"follows {times[row - 1]} s; sort the log and drop repeated rows."
-        )
-    if (gaps > limit).any():
-        row = int(np.argmax(gaps > limit)) + 1
-        raise ValueError(
-            f"Argument `t` must have no gap longer than `max_gap` = {max_gap} s, but "
-            f"t[{row}] = {times[row]} s follows {times[row - 1]} s; split the log there "
-            "or raise `max_gap`."
-        )
-    return t
-
-
-def _check_finite(name: str, signal: PyTree) -> PyTree:
-    def check(path, leaf):
-        where = f"{name}{jax.tree_util.keystr(path)}"
-        if not is_concrete(leaf):
-            return eqx.error_if(
-                leaf, ~jnp.all(jnp.isfinite(leaf)), f"Argument `{where}` must be finite."
-            )
-        finite = np.isfinite(np.asarray(leaf))
-        if not finite.all():
-            index = tuple(int(i) for i in np.argwhere(~finite)[0])
-            raise ValueError(
-                f"Argument `{where}` must be finite, but row {index[0]} holds "
-                f"{where}[{', '.join(map(str, index))}] = {leaf[index]}; remove or repair "
-                "that row."
-            )
-        return leaf
-
-    return jax.tree_util.tree_map_with_path(check, signal)
-
-
-def _joined(name: str, signal: PyTree, t: Any, held: int) -> PyTree:
-    """Every entry that is not finite on the line between those before and after it in its
-    column, or for an input, each of which is `held`, between the middles of intervals."""
-
-    def join(path, leaf):
-        where = f"{name}{jax.tree_util.keystr(path)}"
-        concrete = is_concrete(leaf) and is_concrete(t)
-        xp = np if concrete else jnp
-        columns = xp.asarray(leaf).reshape(leaf.shape[0], -1)
-        if concrete and not np.isfinite(columns).any(axis=0).all():
-            raise ValueError(
-                f"Argument `{where}` must have a finite entry in every column for "
-                '`missing="interpolate"`, but one of them has none.'
-            )
-        ends = xp.asarray(t)
-        last = xp.concatenate([ends[1:], 2 * ends[-1:] - ends[-2:-1]])
-        at = 0.5 * (ends + last) if held else ends
-        lines = [_line(xp, at, column) for column in columns.T]
-        return xp.stack(lines, axis=1).reshape(leaf.shape)
-
-    return jax.tree_util.tree_map_with_path(join, signal)
-
-
-def _line(xp: Any, t: Any, x: Any) -> Any:
-    """x, where it is not finite on the line between its neighbours."""
-    there, rows = xp.isfinite(x), xp.arange(x.shape[0])
-    known = xp.where(there, x, 0.0)
-    if xp is np:
-        before = np.maximum.accumulate(np.where(there, rows, -1))
-        after = np.minimum.accumulate(np.where(there, rows, x.shape[0])[::-1])[::-1]
-    else:
-        before = jax.lax.cummax(jnp.where(there, rows, -1))
-        after = jax.lax.cummin(jnp.where(there, rows, x.shape[0]), reverse=True)
-    low = xp.where(before < 0, after, before)
-    high = xp.where(after == x.shape[0], before, after)
-    low, high = xp.clip(low, 0, x.shape[0] - 1), xp.clip(high, 0, x.shape[0] - 1)
-    gap = xp.where(high > low, t[high] - t[low], 1.0)
-    part = ((t - t[low]) / gap * (high > low)).astype(x.dtype)
-    return xp.where(there, x, known[low] + part * (known[high] - known[low]))

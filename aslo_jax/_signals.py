@@ -50,13 +50,14 @@ def check_shapes(owner: str, shapes: Mapping[str, Shape], u: PyTree, y: PyTree) 
                 "parts, alpha and beta, along the last axis."
             )
         expected = shapes.get(name)
-        if expected is None or not leaves:
+        if expected is None:
             continue
-        got = jnp.shape(signal) if leaves[0] is signal else None
+        got = jnp.shape(signal) if leaves and leaves[0] is signal else None
         if got is None or not _fits(got, expected):
+            what = ("None" if signal is None else "a tree") if got is None else got
             raise ValueError(
                 f"Argument `{name}` must have the shape {_text(expected)} at each instant "
-                f"for `{owner}`, but got {'a tree' if got is None else got}; a log has one "
+                f"for `{owner}`, but got {what}; a log has one "
                 "row of that shape for each instant."
             )
 

@@ -9,16 +9,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._checks import function, is_concrete, kind
+from ._checks import function, is_concrete, kind, number
 from ._jumps import Span, between_jumps, span
 from ._module import Module
 from ._typing import PyTree
 from .control import AbstractController
 from .control._base import controlled
 from .disturbances import AbstractDisturbance, DisturbanceState, check_streams
+from .disturbances._streams import check_disturbances
 from .observers import AbstractObserver, Estimate, ObserverState
 from .observers._base import Est, check_observers
 from .plants import AbstractPlant
+from .plants._base import check_first
 
 
 class Simulation(Module, Generic[Est]):
@@ -238,13 +240,18 @@ def simulate(
     **Returns:** a [`Simulation`][]. Differentiable, and `jax.vmap` maps it over initial
     states and parameters alike.
 
-    **Raises:** `ValueError` for a span, instants or a step that do not fit; diffrax's own
-    error when the solver fails.
+    **Raises:** `ValueError` for a span, instants, a step or a first state that do not fit,
+    and for parts that are none; diffrax's own error when the solver fails.
     """
     controller = controlled(controller)
     kind("plant", plant, AbstractPlant, hint="a plant")
     check_observers(observers)
     function("feedback", feedback)
+    kind("solver", solver, diffrax.AbstractSolver, hint="a solver of diffrax")
+    number("t0", t0, "s")
+    number("t1", t1, "s")
+    if dt0 is not None:
+        number("dt0", dt0, "s")
     if is_concrete(t0, t1) and not t0 < t1:
         raise ValueError(f"Argument `t1` must be after t0 = {t0} s, but got {t1} s.")
     if ts is None:
@@ -258,6 +265,7 @@ def simulate(
                 f"Argument `ts` must lie in [{t0}, {t1}] s, but it spans "
                 f"[{instants[0]}, {instants[-1]}] s."
             )
+    check_disturbances(actuator, sensor, input_sensor)
     check_streams((actuator, sensor, input_sensor))
     within = span((actuator, sensor, input_sensor), t0, t1)
     parts = (actuator, sensor, input_sensor, feedback, within)
@@ -269,6 +277,7 @@ def simulate(
         steps = diffrax.PIDController(rtol=rtol, atol=atol)
     steps = between_jumps(steps, within, t0, dt0)
     x0 = plant.initial() if initial is None else initial
+    check_first(plant, x0)
     ts = jnp.asarray(ts)
     start, end = jnp.asarray(t0, ts.dtype), jnp.asarray(t1, ts.dtype)
     solution = diffrax.diffeqsolve(

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from ._checked_log import checked_log
 from ._checks import unlike
 from ._factored import unpacked
-from ._replay import checked_log
 from ._typing import PyTree
 from .observers import AbstractObserver, Estimate, Lifted
 from .observers._lifted_filter import LiftedBelief, Stage

@@ -9,6 +9,7 @@ import numpy as np
 from aslo_jax.engines._fused.program import Bodies, Program
 from aslo_jax.engines._ir.loop import varying
 from aslo_jax.engines._ir.selection import selected
+from aslo_jax.engines._ir.specialisation import specialised
 
 X = np.array([0.3, -1.2, 0.9])
 REAL = jax.ShapeDtypeStruct((), np.float64)
@@ -75,3 +76,21 @@ def count(loop, op, kind="f"):
 
 def total(made):
     return operations(made.loop).total()
+
+
+def series(x, y, terms=20):
+    """Some operations for each term, bounded by 2 where x and y are by 1."""
+    total = x
+    for j in range(terms):
+        total = 0.5 * total * y + x / (2.0 + j) - 0.1 * total * total * x
+    return total
+
+
+def ends(loop):
+    """How many operations a step has, and the longer and the shorter of its bodies."""
+    graph, roots = loop.graph, loop.carry
+    busy = lambda numbers: sum(graph.nodes[n].op not in ("const", "input") for n in numbers)
+    assert loop.switches
+    each = [{n: usual == same for n, usual in loop.switches} for same in (False, True)]
+    both = [specialised(graph, roots, known).nodes for known in each]
+    return busy(graph.reachable(list(roots))), *map(busy, both)

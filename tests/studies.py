@@ -2,12 +2,14 @@
 
 import jax
 import jax.numpy as jnp
+import xarray
 
 import aslo_jax as aslo
 from aslo_jax.control import OpenLoop
 from aslo_jax.disturbances import SampledNoise
 from aslo_jax.metrics import CoastingFraction, RMSError, SettlingTime
 from aslo_jax.study import Normal, Spread, Uniform
+from aslo_jax.study._problem import BLOCK, Problem, Study
 
 INTERVAL, SAMPLES, SEED = 0.01, 600, 3
 
@@ -56,3 +58,33 @@ def settings(**changes) -> dict:
 def run_study(**changes):
     """The study as a dataset."""
     return aslo.study.run(experiment(), SPREAD, **settings(**changes))
+
+
+def study_of(**changes) -> Study:
+    """The study, before it runs."""
+    arguments = settings(**changes)
+    seed = aslo.random.seed_of(arguments.pop("key"))
+    problem = Problem(
+        experiment(),
+        SPREAD,
+        engine="auto",
+        chunk=BLOCK,
+        scale=None,
+        configuration=None,
+        units={},
+        entries=None,
+        seed=seed,
+        **arguments,
+    )
+    return Study(problem)
+
+
+def assert_same(a: xarray.Dataset, b: xarray.Dataset) -> None:
+    """Bit for bit, NaN and infinity included."""
+    assert set(a.data_vars) == set(b.data_vars)
+    for name in (*a.data_vars, *a.coords):
+        assert a[name].dims == b[name].dims
+        assert a[name].attrs == b[name].attrs
+        x, y = a[name].values, b[name].values
+        assert x.dtype == y.dtype
+        assert x.tobytes() == y.tobytes(), name

@@ -4,15 +4,14 @@ the accurate solution, whatever the number of threads; and so do their derivativ
 import warnings
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from motor_loops import MOTOR, motor_loop, samples
+from own_modules import NET, Network, Solved, Spinner, Washout, spinning, spun
 
 import aslo_jax as aslo
-from aslo_jax.control import AbstractController, FieldOriented, MotorFeedback
-from aslo_jax.disturbances import SampledNoise
 from aslo_jax.engines import NotFusible, run_batch
 from aslo_jax.metrics import (
     CoastingFraction,
@@ -21,10 +20,8 @@ from aslo_jax.metrics import (
     RMSError,
     SettlingTime,
 )
-from aslo_jax.plants import AbstractPlant
 
 pytest.importorskip("llvmlite")
-MOTOR = aslo.plants.PMSM.bmp0701f()
 RNG = np.random.default_rng(2)
 METRICS = {
     "rms": RMSError("smooth", 0.02),
@@ -33,37 +30,6 @@ METRICS = {
     "settled": SettlingTime("smooth", 1e-3),
     "coasting": CoastingFraction("flux"),
 }
-
-
-def speed(t):
-    return 20.0 + 5.0 * jnp.sin(t)
-
-
-def measured(y, x, estimates):
-    return MotorFeedback(y, MOTOR.pole_pairs * x.angle, x.speed)
-
-
-def motor_loop(sample, noisy=False, interval=1e-4, initial=None):
-    """A PMSM under speed control, its resistance and the observers' rates given."""
-    resistance, rate, gain, key = sample
-    motor = eqx.tree_at(lambda m: m.resistance, MOTOR, resistance)
-    relation = MOTOR.flux_relation()
-    flux = aslo.AlgebraicObserver(relation, aslo.LowPass(rate), guard=aslo.Guard(1e-4))
-    return aslo.Experiment(
-        motor,
-        FieldOriented(MOTOR, speed, 2.3),
-        {"flux": flux, "smooth": aslo.Asymptotic(flux, gain)},
-        interval,
-        feedback=measured,
-        sensor=SampledNoise(0.01, interval, key) if noisy else None,
-        initial=initial,
-    )
-
-
-def samples(count):
-    keys = jax.vmap(aslo.random.key)(jnp.arange(count))
-    spread = jnp.asarray(RNG.uniform(0.9, 1.1, (3, count)))
-    return 8.875 * spread[0], 30.0 * spread[1], 20.0 * spread[2], keys
 
 
 def flux(record):
@@ -165,102 +131,6 @@ def test_bits_do_not_depend_on_threads_or_on_the_size_of_the_batch():
         np.testing.assert_array_equal(a[140:], b)
 
 
-class Gyroscope(AbstractPlant):
-    """A spinning body, `J w' = J w x w + u - d w`: a user's own plant, with a product of
-    matrices, a remainder, an update in place and a map inside."""
-
-    inertia: jax.Array
-    damping: jax.Array
-
-    def initial(self):
-        return jnp.array([0.3, -2.0, 1.1])
-
-    def vector_field(self, t, x, u):
-        J = jnp.diag(self.inertia).at[0, 1].set(0.1).at[1, 0].set(0.1)
-        momentum = J @ x
-        drag = jax.vmap(lambda d, w: d * w * jnp.abs(w))(self.damping, x)
-        phase = (t * 7.0) % (2 * jnp.pi)
-        push = jnp.zeros(3).at[2].set(jnp.sin(phase))
-        return self.divided(J, jnp.cross(momentum, x) + u + push - drag)
-
-    def divided(self, J, torque):
-        """By a product that is one: the vectors of an eigenvalue problem."""
-        vectors = jnp.linalg.eigh(J)[1]
-        return vectors @ vectors.T @ torque
-
-    def output(self, x):
-        return x[:2]
-
-    def hidden(self, x):
-        return x[2:]
-
-    def no_input(self, y):
-        return jnp.zeros(3)
-
-
-class Network(AbstractController):
-    """A small perceptron from the measurement to the torques."""
-
-    net: eqx.nn.MLP
-
-    def init(self, fed):
-        return jnp.zeros(())
-
-    def vector_field(self, t, state, fed):
-        return jnp.tanh(fed[0]) - 0.1 * state
-
-    def __call__(self, t, state, fed):
-        return self.net(jnp.append(fed, state))
-
-
-class Washout(aslo.AbstractObserver):
-    """A user's own observer: a filter and a state with a limit."""
-
-    rate: jax.Array
-
-    def equations(self, F, u, y):
-        F = F.using(aslo.LowPass(self.rate))
-        rate = F.p(y[0], "rate")
-        z = F.state("z", jnp.zeros(()), lambda z: jnp.clip(rate - z, -1.0, 1.0))
-        return aslo.Estimate(z[None], jnp.ones(()), z > 0.5)
-
-
-NET = eqx.nn.MLP(3, 3, 8, 2, activation=jnp.tanh, key=jax.random.key(4))
-
-
-def spinning(sample):
-    body = eqx.tree_at(
-        lambda g: g.inertia, Gyroscope(jnp.ones(3), jnp.array([0.1, 0.2, 0.3])), sample
-    )
-    return aslo.Experiment(body, Network(NET), {"w": Washout(jnp.array(8.0))}, 1e-2)
-
-
-class Solved(Gyroscope):
-    """With systems of equations that vary from lane to lane."""
-
-    def divided(self, J, torque):
-        shifted = J @ J.T + jnp.eye(3)
-        solved = jnp.linalg.inv(J) @ jnp.linalg.solve(shifted, torque)
-        definite = jnp.linalg.cholesky(shifted)
-        return J @ definite @ (definite.T @ solved)
-
-
-class Spinner(Gyroscope):
-    """Without an eigenvalue problem, which is not compiled."""
-
-    def vector_field(self, t, x, u):
-        J = jnp.diag(self.inertia).at[0, 1].set(0.1).at[1, 0].set(0.1)
-        drag = jax.vmap(lambda d, w: d * w * jnp.abs(w))(self.damping, x)
-        phase = (t * 7.0) % (2 * jnp.pi)
-        push = jnp.zeros(3).at[2].set(jnp.sin(phase))
-        return jnp.cross(J @ x, x) + u + push - drag
-
-
-def spun(sample):
-    body = Spinner(sample, jnp.array([0.1, 0.2, 0.3]))
-    return aslo.Experiment(body, Network(NET), {"w": Washout(jnp.array(8.0))}, 1e-2)
-
-
 INERTIAS = jnp.asarray(RNG.uniform(0.5, 2.0, (7, 3)))
 
 
@@ -326,7 +196,7 @@ def test_known_indices_are_known_under_jit():
 
 
 def test_what_cannot_be_compiled_is_refused_or_runs_by_scan_with_a_warning():
-    with pytest.raises(NotFusible, match=r"test_engines\.py:\d+") as caught:
+    with pytest.raises(NotFusible, match=r"own_modules\.py:\d+") as caught:
         run_batch(spinning, INERTIAS, 10, engine="fused")
     assert "`jnp.linalg.eigh` (primitive `eigh`)" in str(caught.value)
     with pytest.warns(UserWarning, match='Running with engine="scan"'):
@@ -455,91 +325,3 @@ def test_logs_are_read_at_the_time_and_in_the_row_of_a_lane():
             shared[-1] * rows[row, -1],
         )  # beyond the end: last
         np.testing.assert_array_equal(a.record[1][lane, 1:], held)
-
-
-def test_single_precision():
-    single = lambda tree: jax.tree.map(
-        lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, tree
-    )
-    make = lambda s: single(motor_loop(s))
-    keep = lambda r: (r.x, r.estimates["smooth"].value)
-    batch = single(samples(4))
-    a, b = (run_batch(make, batch, 200, record=keep, engine=e) for e in ("fused", "scan"))
-    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
-        assert x.dtype == y.dtype == jnp.float32
-        np.testing.assert_allclose(x, y, rtol=1e-3, atol=1e-3 * np.abs(y).max())
-
-
-def test_no_samples_and_results_without_entries():
-    chain = aslo.plants.IntegratorChain(2)
-    command = aslo.control.OpenLoop(lambda t: jnp.cos(9.0 * t))
-
-    def make(rate):
-        observer = aslo.AlgebraicObserver(chain.relation(), aslo.LowPass(rate))
-        return aslo.Experiment(chain, command, {"speed": observer}, 1e-2)
-
-    keep = lambda r: (r.estimates["speed"].value, jnp.zeros((0,)))
-    run = lambda rates, engine="fused": run_batch(
-        make, rates, 20, record=keep, every=10, engine=engine
-    )
-    none = jnp.zeros(0)
-    for fused, scan in zip(run(none).record, run(none, "scan").record, strict=True):
-        assert fused.shape == scan.shape and fused.dtype == scan.dtype
-    rates = jnp.array([[3.0, 5.0], [4.0, 6.0], [5.0, 7.0]])
-    value, nothing = jax.vmap(run)(rates).record
-    assert nothing.shape == (3, 2, 3, 0)
-    np.testing.assert_array_equal(value[1], run(rates[1]).record[0])
-
-
-def test_a_runner_is_as_precise_as_jax():
-    """Made like doubles while JAX has none."""
-    with jax.enable_x64(False):
-        chain = aslo.plants.IntegratorChain(2)
-
-        def make(rate):
-            command = aslo.control.OpenLoop(lambda t: rate * jnp.cos(9.0 * t))
-            observer = aslo.AlgebraicObserver(chain.relation(), aslo.LowPass(rate))
-            return aslo.Experiment(chain, command, {"speed": observer}, 1e-2)
-
-        keep = lambda r: r.estimates["speed"].value
-        like = jax.ShapeDtypeStruct((), np.float64)
-        runner = aslo.Runner(make, like, 20, record=keep, engine="fused")
-        found = runner(np.array([3.0, 5.0])).record
-        expected = run_batch(make, jnp.array([3.0, 5.0]), 20, record=keep, engine="scan")
-        assert found.dtype == jnp.float32 and np.isfinite(found).all()
-        np.testing.assert_allclose(found, expected.record, rtol=1e-3, atol=1e-3)
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.int64])
-def test_samples_take_the_type_that_a_runner_is_made_for(dtype):
-    """For values and for derivatives, whose columns are read by their type."""
-    inertias = np.array([[2, 3, 1], [1, 1, 4]], dtype)
-    like = (1.0, np.ones(3))
-    make = lambda sample: spun(sample[0] * sample[1])
-    found = {}
-    for engine in ("fused", "scan"):
-        runner = aslo.Runner(make, like, 20, record=lambda r: r.x, engine=engine)
-        scaled = lambda c, run=runner: run((c * jnp.ones(2, c.dtype), inertias)).record
-        c = jnp.asarray(1.5, np.float32)
-        found[engine] = (
-            runner((np.float32([1.5, 1.5]), inertias)).record,
-            *jax.jvp(scaled, (c,), (jnp.ones_like(c),)),
-        )
-    for ours, theirs in zip(*map(jax.tree.leaves, found.values()), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (dict(steps=0), "`every` must divide `steps`"),
-        (dict(every=3), "`every` must divide `steps`"),
-        (dict(engine="warp"), '`engine` must be "auto", "fused" or "scan"'),
-        (dict(parameters=(jnp.ones(2), jnp.ones(3))), "one leading axis of common length"),
-        (dict(parameters=jnp.ones(())), "one leading axis of common length"),
-    ],
-)
-def test_arguments_out_of_range_are_refused(change, message):
-    arguments = dict(make=spun, parameters=INERTIAS, steps=10, every=5) | change
-    with pytest.raises(ValueError, match=message):
-        run_batch(**arguments)

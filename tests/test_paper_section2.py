@@ -2,19 +2,19 @@
 
 import csv
 import math
-import sys
 
 import jax
 import numpy as np
 import pytest
 import scipy.integrate
 import scipy.linalg
+from paper_claims import verdicts
 
 import aslo_jax as aslo
 from aslo_jax import paper
-from aslo_jax.paper._claims import Above, Below, Claim, Near, to_csv, to_markdown, to_text
 from aslo_jax.paper._linear import realisation
 from aslo_jax.paper._section2 import experiments as s, figures, simulations, systems, theory
+from aslo_jax.paper._section2.runs import Runs
 from aslo_jax.plot._figure import Figure
 
 PRINTED = s.Printed()
@@ -214,41 +214,6 @@ def test_a_notch_rejects_a_sinusoid_on_the_sensor(scenarios):
     assert np.abs(s.error(run, "ASLO")[settled]).max() == pytest.approx(passed, rel=1e-3)
 
 
-def claim(measured, printed, corrected=None):
-    return Claim(
-        "a name", "2.2", "It is so.", "what", measured, "m", printed, corrected, "not so"
-    )
-
-
-def test_a_verdict_follows_from_the_measurement():
-    assert claim(0.5, Below(1.0), Near(2, 0.1)).verdict == "confirmed"
-    assert claim(2.05, Below(1.0), Near(2, 0.1)).verdict == "corrected: not so"
-    assert claim(3.0, Below(1.0), Near(2, 0.1)).verdict == "not reproduced"
-    assert claim(3.0, Above(1.0)).verdict == "confirmed"
-    assert claim(0.5, Above(1.0)).verdict == "not reproduced"
-    assert claim(math.nan, Below(1.0), Above(0.0)).verdict == "not reproduced"
-
-
-def test_the_tables_hold_what_was_measured():
-    claims = [claim(2.0, Below(1.0), Near(2, 0.1)), claim(0.5, Below(1.0))]
-    rows = list(csv.DictReader(to_csv(claims).splitlines()))
-    assert [row["verdict"] for row in rows] == ["corrected: not so", "confirmed"]
-    assert rows[0]["measured"] == "2"
-    assert rows[0]["as_corrected"] == "2 +- 0.1"
-    page = to_markdown(claims, "A title")
-    assert page.startswith(
-        "# A title\n\n2 claims: 1 confirmed, 1 corrected, 0 not reproduced."
-    )
-    assert "| a name | 2.2 | what | 2 m | < 1 | 2 +- 0.1 | corrected |" in page
-    assert to_text(claims).splitlines()[1].split() == (
-        ["a", "name", "2", "m", "<", "1", "corrected:", "not", "so"]
-    )
-
-
-def verdicts(claims):
-    return {c.name: c.verdict.split(":")[0] for c in claims}
-
-
 def test_a_wrong_luenberger_observer_is_found_out(transients, gains):
     wrong = s.Printed(luenberger=lambda gain: s.luenberger(1.5 * gain))
     assert verdicts(systems.realisations(PRINTED))["resemblance to Luenberger"] == (
@@ -376,23 +341,7 @@ def read(path):
 
 
 def test_a_figure_is_the_same_bytes_every_time():
-    figure = figures.noise_variance(PRINTED)
+    figure = figures.noise_variance(Runs(PRINTED, *[None] * 6))
     assert isinstance(figure, Figure)
     assert figure.png() == figure.png()
     assert figure.csv().startswith("gain_rad_per_s,a_aslo_variance_m2_per_s2,")
-
-
-def test_run_refuses_what_it_cannot_do(tmp_path, monkeypatch):
-    with pytest.raises(ValueError, match=r"Argument `section` must be one of \(2"):
-        paper.run(7, tmp_path)
-    file = tmp_path / "file"
-    file.write_text("mine")
-    with pytest.raises(ValueError, match=r"Argument `out` must be a folder, but .* file"):
-        paper.run(2, file)
-    assert file.read_text() == "mine"
-    with jax.enable_x64(False), pytest.raises(ValueError, match="single precision"):
-        paper.run(2, tmp_path / "out")
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(ImportError, match=r'pip install "aslo_jax\[plot\]"'):
-        paper.run(2, tmp_path / "out")
-    assert not (tmp_path / "out").exists()

@@ -1,32 +1,28 @@
-"""Section 3 of the paper: its machines, its numbers, its claims, and its table."""
+"""Section 3 of the paper: the PMSM, its numbers, its claims, and its figures."""
 
 import csv
 import dataclasses
 import math
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
 from motion import PrescribedPMSM, observe
+from paper_claims import kind, replaced, verdicts
 
 import aslo_jax as aslo
-from aslo_jax import paper
 from aslo_jax.paper import _section3 as section3
-from aslo_jax.paper._report import Table, files
 from aslo_jax.paper._section3 import (
     comparison_claims as comparison,
     figures,
     flux_claims,
     machine_claims,
-    machines as m,
     pmsm,
     settings as s,
     settling,
 )
-from aslo_jax.paper._section3.prescribed import PrescribedBearing, PrescribedMachine
 from aslo_jax.plot._figure import Figure
 
 PRINTED = s.Printed()
@@ -73,24 +69,6 @@ def steady():
 @pytest.fixture(scope="module")
 def reversal():
     return pmsm.reversal(PRINTED)
-
-
-@pytest.fixture(scope="module")
-def modulation():
-    return m.modulation(PRINTED)
-
-
-def verdicts(claims):
-    return {c.name: c.verdict.split(":")[0] for c in claims}
-
-
-def kind(claims, verdict):
-    return {name for name, found in verdicts(claims).items() if found == verdict}
-
-
-def replaced(run, estimates):
-    """The run with other estimates."""
-    return eqx.tree_at(lambda run: run.estimates, run, run.estimates | estimates)
 
 
 def swap(run, name):
@@ -140,33 +118,6 @@ def test_the_aslo_and_delta_are_those_of_the_printed_lines():
     np.testing.assert_allclose(found["ASLO"].value, flux, rtol=0, atol=1e-9)
     np.testing.assert_allclose(found["Delta"].value[:, 0], delta, rtol=1e-9)
     assert np.abs(flux[0] - motion.flux(ts[0])).max() > 0.01
-
-
-def test_a_prescribed_machine_is_a_solution_of_the_machine():
-    machine = m.wrim()
-    motion = PrescribedMachine(
-        machine,
-        lambda t: 1.5 * t + 0.3 * jnp.sin(t),
-        lambda t: jnp.stack([jnp.cos(3 * t), jnp.sin(t), 0.4 + t, jnp.cos(t)]),
-    )
-    for t in jnp.array([0.0, 0.7]):
-        x = aslo.plants.MachineState(motion.hidden(t), jnp.zeros(()), motion.angle(t))
-        np.testing.assert_allclose(machine.output(x), motion.output(t), atol=1e-12)
-        _, rate = jax.jvp(motion.hidden, (t,), (jnp.ones(()),))
-        expected = machine.vector_field(t, x, motion.voltage(t)).flux
-        np.testing.assert_allclose(rate, expected, atol=1e-12)
-
-
-def test_a_prescribed_bearing_is_a_solution_of_the_bearing():
-    plant = aslo.plants.MagneticBearing.laboratory()
-    motion = PrescribedBearing(
-        plant, lambda t: 1e-4 * jnp.sin(40 * t), lambda t: 6e-5 * (1 + 0.2 * jnp.cos(9 * t))
-    )
-    for t in jnp.array([0.0, 0.013]):
-        _, rate = jax.jvp(motion.hidden, (t,), (jnp.ones(()),))
-        x = plant.vector_field(t, motion.state(t), motion.voltage(t))
-        expected = [*x.flux, x.position, x.velocity]
-        np.testing.assert_allclose(rate, expected, rtol=1e-10)
 
 
 def test_the_closed_loop_and_its_exact_observer():
@@ -308,85 +259,8 @@ def test_a_reversal_upsets_repeat_and_not_least_squares(reversal):
         np.testing.assert_array_equal(below, reversal.coasting[name])
 
 
-def test_the_inductance_of_prop_3_fails_with_the_modulation(modulation):
-    printed, right = (
-        m.relative_by_depth(modulation, name) for name in ("as printed", "corrected")
-    )
-    assert right.max() < 1e-9 and printed[0] < 1e-9
-    assert 0.07 < printed[-1] < 0.4
-    # It grows in proportion at first: 3 % of modulation against 6 %.
-    assert printed[2] / printed[1] == pytest.approx(2.0, rel=0.02)
-
-
-def test_the_right_inductance_would_be_confirmed(modulation):
-    name = "WRIM, L_s, both windings fed"
-    claims = machine_claims.inductance(modulation)
-    assert kind(claims, "corrected") == {name}
-    assert PRINTED.winding(m.wrim(), "rotor").inductance == 0.1
-    swapped = replaced(modulation, {"as printed": modulation.estimates["corrected"]})
-    assert kind(machine_claims.inductance(swapped), "confirmed") == {c.name for c in claims}
-    swapped = replaced(modulation, {"corrected": modulation.estimates["as printed"]})
-    assert kind(machine_claims.inductance(swapped), "not reproduced") == {"WRIM, L_k"}
-
-
-def test_the_claims_of_the_interior_pmsm():
-    t = np.linspace(0.0, 1.2, 25)
-    small = np.full((2, 3, 25), 1e-10)
-    dropped = small.copy()
-    dropped[1, 2] = 1e-3  # the last ratio, one of the angles
-    right = m.Salient(t, dropped, small)
-    assert set(verdicts(machine_claims.interior(right)).values()) == {"confirmed"}
-    far = dropped.copy()
-    far[0, 1, -1] = 3e-3
-    found = verdicts(machine_claims.interior(m.Salient(t, far, far)))
-    assert found == {
-        "interior PMSM, d(t) dropped": "confirmed",
-        "interior PMSM, no saliency": "not reproduced",
-        "interior PMSM, self-consistent": "not reproduced",
-    }
-    found = verdicts(machine_claims.interior(m.Salient(t, 3 * dropped, small)))
-    assert found["interior PMSM, d(t) dropped"] == "not reproduced"
-
-
-def test_settling_peaks_and_final_errors_of_an_exponential():
-    t = np.linspace(0.0, 4.0, 4001)
-    error = 2.0 * np.exp(-3.0 * t)
-    trace = settling.Trace("experiment", "observer", "flux", "Wb", t, error, 2.0, 1.0)
-    assert trace.settled(0.05) == pytest.approx(math.log(20) / 3, abs=1e-3)
-    assert trace.settled(1e-9) == math.inf
-    assert trace.settled(1.5) == 0.0
-    assert trace.peak(0.0) == 2.0
-    assert trace.peak(0.5, 1.0) == pytest.approx(2 * math.exp(-1.5))
-    assert trace.final == pytest.approx(2 * math.exp(-3 * 3.8))
-    # What counts is when it last comes back, not when it is first below.
-    bounced = trace._replace(error=np.where(np.abs(t - 2.0) < 0.1, 1.0, error))
-    assert bounced.settled(0.05) == pytest.approx(2.1, abs=2e-3)
-    row = settling._row(trace)
-    assert row["settled_5_percent_s"] == "0.999"
-    assert row["later_window_s"] == "1 to 4" and row["later_peak"] == "0.0996"
-    assert settling._row(trace._replace(error=0 * t + 1))["settled_5_percent_s"] == "> 4"
-
-
-def test_a_table_in_the_report():
-    rows = [{"a": "1", "b": "x|y"}, {"a": "2", "b": "z, w"}]
-    table = Table("settling", "A title", "What it is.", rows)
-    assert list(csv.DictReader(table.csv().splitlines())) == rows
-    assert table.markdown() == (
-        "# A title\n\nWhat it is.\n\n| a | b |\n|---|---|\n| 1 | x\\|y |\n| 2 | z, w |\n"
-    )
-    claim = comparison.Claim(
-        "a claim", "3", "It is so.", "what", 1.0, "m", comparison.Below(2.0)
-    )
-    content, _ = files("Title", "Notes.", [], [claim], [table])
-    assert content["settling.csv"] == table.csv().encode()
-    assert content["settling.md"] == table.markdown().encode()
-    assert "[settling.md](settling.md), [settling.csv](settling.csv): What it is." in (
-        content["index.md"].decode()
-    )
-
-
 def test_the_figure_of_the_reversal_is_the_same_bytes_every_time(reversal):
-    runs = section3.Runs(*[None] * 9)._replace(reversal=reversal)
+    runs = section3.Runs(*[None] * 10)._replace(reversal=reversal)
     figure = figures.reversal(runs)
     assert isinstance(figure, Figure)
     assert figure.png() == figure.png()
@@ -398,7 +272,7 @@ def test_the_figure_of_the_reversal_is_the_same_bytes_every_time(reversal):
 
 @pytest.mark.slow
 def test_the_panels_of_the_paper(closed):
-    runs = section3.Runs(*[None] * 9)._replace(closed=_with_asymptotic(closed))
+    runs = section3.Runs(*[None] * 10)._replace(closed=_with_asymptotic(closed))
     for figure in (figures.flux_errors(runs), figures.exact_start(runs)):
         assert figure.png().startswith(b"\x89PNG")
     table = list(csv.DictReader(figures.flux_errors(runs).csv().splitlines()))
@@ -406,11 +280,3 @@ def test_the_panels_of_the_paper(closed):
     expected = closed.estimates["FO2, gamma 5"].value[-1] - closed.hidden[-1]
     np.testing.assert_allclose(last, expected, rtol=1e-8)
     assert np.linalg.norm(last) > 0.02
-
-
-def test_run_dispatches_to_the_section(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(section3, "report", lambda: ({"a.md": b"content"}, "summary"))
-    paper.run(3, tmp_path)
-    assert (tmp_path / "a.md").read_bytes() == b"content"
-    assert [path.name for path in tmp_path.iterdir()] == ["a.md"]
-    assert capsys.readouterr().out == "summary\n"

@@ -4,19 +4,17 @@ import csv
 import dataclasses
 import math
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
 import scipy.interpolate
+from paper_claims import kind, replaced, verdicts
 
 from aslo_jax import paper
 from aslo_jax.paper import _section4 as section4
 from aslo_jax.paper._section4 import (
     comparison_claims as comparison,
-    comparison_figures,
     figures,
     friction_claims as friction,
     identity_claims as identity,
@@ -50,18 +48,6 @@ def runs(recorded, leg):
         *loops.friction(PRINTED),
         {"ball": tuning.compare(s.ball(), FEW, recorded)},
     )
-
-
-def kinds(claims):
-    return {c.name: c.verdict.split(":")[0] for c in claims}
-
-
-def kind(claims, verdict):
-    return {name for name, found in kinds(claims).items() if found == verdict}
-
-
-def replaced(run, estimates):
-    return eqx.tree_at(lambda run: run.estimates, run, run.estimates | estimates)
 
 
 def naive_proposition4(t, q, u, denominator, sign):
@@ -211,7 +197,7 @@ def test_wrong_observers_are_found_out(runs):
 @pytest.mark.slow
 def test_a_right_prop_4_would_be_confirmed(runs):
     right = runs.leg.estimates["Prop. 4, corrected"]
-    found = kinds(identity.proposition4(replaced(runs.leg, {"Prop. 4": right})))
+    found = verdicts(identity.proposition4(replaced(runs.leg, {"Prop. 4": right})))
     for j in (1, 2, 3):
         assert found[f"leg, q{j}' as printed"] == "confirmed"
     assert found["leg, what q2' as printed is"] == "not reproduced"
@@ -247,67 +233,6 @@ def test_friction_is_found_to_rounding_and_left_out_it_is_not(runs):
     expected = np.sqrt(np.mean((0.5 * filtered / (3.0 * 5.0))[100:] ** 2))
     assert rms[2] == pytest.approx(expected, rel=2e-3)
     assert 8e-3 < rms[0] < 1.2e-2
-
-
-def test_records_are_what_an_encoder_reports(recorded):
-    mechanism, found = s.ball(), recorded
-    cases = list(records.CASES)
-    assert found.y.shape == (4, records.VALIDATION + records.TRAINING, s.STEPS + 1, 2)
-    for i, case in enumerate(records.CASES.values()):
-        counts = np.asarray(found.y[i]) / np.array(
-            records.resolutions(mechanism, case.bits)
-        )
-        np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
-        assert counts[..., 1].min() >= 0 and counts[..., 1].max() < 2**case.bits
-        assert len(np.unique(counts[..., 1])) > 50
-    assert records.resolutions(mechanism, 12) == pytest.approx((1.2 / 4096, math.pi / 2048))
-    # The motion is the same in every case; noise is only where it is asked for.
-    plain, noisy, off = (
-        np.asarray(found.y[cases.index(name)])
-        for name in ("16 bit", "16 bit, noise", "16 bit, 5 % wrong")
-    )
-    np.testing.assert_array_equal(plain, off)
-    difference = (noisy - plain)[..., 0]
-    rounding = 1.2 / 2**16 / math.sqrt(6)
-    assert difference.std() == pytest.approx(math.hypot(1e-4, rounding), rel=0.02)
-    np.testing.assert_array_equal(found.velocity[0], found.velocity[1])
-    first = np.asarray(found.velocity)[0, :, 0]
-    assert len(np.unique(first, axis=0)) == len(first)
-    box = np.asarray(mechanism.spread.velocity)
-    assert (np.abs(first - mechanism.start.velocity) <= box + 1e-12).all()
-
-
-def test_the_search_finds_the_best_gain_of_every_coordinate():
-    """On errors that are least at known gains, the second one coupled to the first."""
-    best = np.array([3.0, 80.0])
-
-    def run(gains, systems, u, y, velocity):
-        off = np.log(np.asarray(gains) / best)
-        coupled = off + np.array([[0.0, 0.3]]) * off[:, :1]
-        size = 0.1 + np.abs(coupled)
-        return np.broadcast_to(size[:, None], (len(gains), s.STEPS + 1, 2))
-
-    shape = (records.TRAINING, s.STEPS + 1, 2)
-    training = (jnp.zeros((*shape[:2], 1)), jnp.zeros(shape), jnp.zeros(shape))
-    found = tuning.search(run, (0.3, 1e3), s.ball().system, training)
-    # To within the distance of the last trials.
-    spacing = np.log(1e3 / 0.3) * 0.5 ** (tuning.ROUNDS - 1) / tuning.TRIALS
-    assert (np.abs(np.log(found / best)) < spacing).all() and spacing < 0.15
-
-
-def test_lanes_are_one_trial_on_every_record():
-    """Trials are repeated, records tiled: each meets each."""
-    seen = []
-
-    def run(gains, systems, u, y, velocity):
-        seen.append(np.stack([np.asarray(gains)[:, 0], np.asarray(y)[:, 0, 0]], axis=1))
-        return np.asarray(gains)[:, None] * np.ones((1, s.STEPS + 1, 1))
-
-    y = jnp.arange(3.0)[:, None, None] * jnp.ones((1, s.STEPS + 1, 2))
-    gains = np.array([[1.0, 2.0], [3.0, 4.0]])
-    rms = tuning.evaluate(run, gains, s.ball().system, (y, y, y))
-    np.testing.assert_allclose(rms, gains)
-    assert {tuple(row) for row in seen[0]} == {(g, r) for g in (1, 3) for r in (0, 1, 2)}
 
 
 @pytest.mark.slow
@@ -360,27 +285,10 @@ def test_where_the_aslo_is_worse_it_is_said(runs):
     assert said["16 bit", "q2'"]["ASLO is"] == "no worse"
 
 
-def test_settled_is_the_last_time_above():
-    t = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
-    assert tables.settled(t, np.array([9.0, 5, 0, 5, 0]), 1.0) == "0.4"
-    assert tables.settled(t, np.array([9.0, 0, 0, 0, 0]), 1.0) == "0"
-    assert tables.settled(t, np.array([9.0, 0, 0, 0, 5]), 1.0) == "> 0.4"
-
-
-def test_a_moving_rms_is_that_of_its_window():
-    error = np.sin(np.arange(200.0))
-    found = comparison_figures.moving_rms(error)
-    width = comparison_figures.WINDOW
-    expected = [
-        math.sqrt(np.mean(error[k : k + width] ** 2)) for k in range(200 - width + 1)
-    ]
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
-    assert set(comparison_figures.COLORS) == set(tuning.CONTENDERS)
-
-
 @pytest.mark.slow
 def test_run_writes_every_figure_table_and_claim(runs, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(section4, "run_all", lambda printed: runs)
+    section = dataclasses.replace(section4.SECTION, run=lambda printed: runs)
+    monkeypatch.setattr(section4, "SECTION", section)
     paper.run(4, tmp_path)
     names = {path.name for path in tmp_path.iterdir()}
     drawn = ("identities", "proposition4", "friction", "peers", "tuned", "model_errors")
@@ -421,11 +329,3 @@ def test_run_writes_every_figure_table_and_claim(runs, tmp_path, capsys, monkeyp
 def read(path):
     with path.open() as file:
         return list(csv.DictReader(file))
-
-
-def test_the_parameters_are_wrong_where_it_is_said():
-    wrong = records.wrong(s.leg(), s.leg().parameters)
-    assert float(wrong.m1) == pytest.approx(2.1) and float(wrong.m2) == pytest.approx(2.85)
-    right = records.assumed(s.ball(), records.CASES["16 bit"])
-    assert float(right.length) == pytest.approx(1.2)
-    jax.tree.map(np.testing.assert_array_equal, right, s.ball().system)

@@ -1,86 +1,20 @@
-"""Runs are never fatal: interrupted, failing, forked, left behind at exit; and their
-arguments are refused by name, whatever the engine."""
+"""Runs are never fatal, and their arguments are refused by name, whatever the engine."""
 
-import os
-import pickle
-import subprocess
 import sys
 import threading
 import warnings
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from iterations import GAINS, Iteration, last, rotated, runner, started, turned
 
 from aslo_jax.engines import NotFusible, Runner, run_batch
 from aslo_jax.engines._fused import program
 from aslo_jax.engines._runtime.threads import Run
-from aslo_jax.experiment import Record
 
 pytest.importorskip("llvmlite")
-HERE = Path(__file__).parent
-
-
-class Iteration(eqx.Module):
-    """As a user may write an experiment: x[k+1] = step(x[k], sample)."""
-
-    sample: Any
-    step: Callable = eqx.field(static=True)
-    begin: Callable = eqx.field(static=True)
-
-    def init(self):
-        start = self.begin(self.sample)
-        return start, recorded(start)
-
-    def prepare(self, carry):
-        return None
-
-    def advance(self, k, carry, prepared):
-        after = self.step(carry, self.sample)
-        return after, recorded(after)
-
-
-def recorded(z):
-    nothing = jnp.zeros(())
-    return Record(nothing, z, jnp.zeros(1), nothing, nothing, {})
-
-
-def rotated(z, gain):
-    return z[0] - 1e-3 * z[1], z[1] + gain * 1e-3 * z[0]
-
-
-def started(gain):
-    return gain, 0.0 * gain
-
-
-def runner(steps=200, engine="fused", step=rotated, begin=started, like=1.0, **settings):
-    make = lambda sample: Iteration(sample, step, begin)
-    settings = dict(every=steps, record=lambda r: r.x) | settings
-    return Runner(make, like, steps, engine=engine, **settings)
-
-
-def last(found):
-    return np.asarray(found.record[0])[:, -1]
-
-
-GAINS = np.linspace(-1.0, 1.0, 37)
-
-
-def turned(gains, steps):
-    """By powers of the matrix of a step."""
-    step = np.stack(
-        [
-            np.stack([np.ones_like(gains), -1e-3 * np.ones_like(gains)], -1),
-            np.stack([1e-3 * gains, np.ones_like(gains)], -1),
-        ],
-        1,
-    )
-    return np.linalg.matrix_power(step, steps)[:, 0, 0] * gains
 
 
 # ---- arguments ---------------------------------------------------------------------------
@@ -260,200 +194,6 @@ def test_a_run_without_further_threads(monkeypatch):
     assert sorted(done) == spans
 
 
-# ---- other processes and signals ---------------------------------------------------------
-
-
-def ended(script):
-    """What a process prints that ends by itself."""
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
-    start = "import jax\njax.config.update('jax_enable_x64', True)\n"
-    done = subprocess.run(
-        [sys.executable, "-c", start + script],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert done.returncode == 0, (done.returncode, done.stdout, done.stderr)
-    return done.stdout.split()
-
-
-INTERRUPTED = """
-import gc, os, signal, sys, threading, time
-import numpy as np
-from test_runtime import GAINS, last, runner, turned
-
-# Annotations are not checked in this process, so that these reach the checks of their own.
-for change in (dict(threads=1.5), dict(threads="2"), dict(steps=4.0), dict(every=2.0)):
-    for engine in ("fused", "scan"):
-        ((name, value),) = change.items()
-        try:
-            runner(engine=engine, **change)
-        except ValueError as error:
-            expected = f"Argument `{name}` must be a whole number, but got {value!r}."
-            assert str(error) == expected, error
-            print(name)
-
-few = runner(100)
-few(GAINS)
-for threads, lanes in ((1, 8), (1, 100_000), (3, 100_000)):
-    endless = runner(10**10, threads=threads)
-    endless._fused.program.compile()
-    x = np.linspace(-1.0, 1.0, lanes)
-    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
-    begun = time.monotonic()
-    try:
-        endless(x)
-    except KeyboardInterrupt:
-        print(time.monotonic() - begun)
-    timer.join()
-    # What was written to may hold something else from now on.
-    del x
-    gc.collect()
-    held = [np.full(3 * lanes, 7.0) for _ in range(4)]
-    time.sleep(0.1)
-    assert all((h == 7.0).all() for h in held)
-    assert [t.name for t in threading.enumerate()] == ["MainThread"]
-    np.testing.assert_allclose(last(few(GAINS)), turned(GAINS, 100), rtol=1e-10)
-# And at exit one is left behind.
-threading.Thread(target=endless, args=(np.ones(100_000),), daemon=True).start()
-time.sleep(0.2)
-assert len(threading.enumerate()) > 2
-"""
-
-
-def test_interrupted_and_left_behind():
-    """By Ctrl-C, with one thread and several, one block of lanes and many, of a run that
-    would take minutes; and at exit, in a thread that nobody waits for."""
-    words = ended(INTERRUPTED)
-    assert words[:8] == [n for n in ("threads", "threads", "steps", "every") for _ in "ab"]
-    assert len(words) == 11 and all(0.2 < float(s) < 5.0 for s in words[8:])
-
-
-FORKED = """
-import os, sys, threading, warnings
-import numpy as np
-from test_runtime import GAINS, last, runner, turned
-from aslo_jax.engines._fused import program
-
-warnings.filterwarnings("ignore", message=".*fork")
-few = runner(20_000, threads=3)
-inputs, lanes = {"lane": [GAINS]}, len(GAINS)
-expected = turned(GAINS, 20_000)
-
-def run():
-    # Without JAX, which a forked process cannot use.
-    record, _ = few._fused.program(inputs, lanes, 20_000, every=20_000, threads=3)
-    np.testing.assert_allclose(record[0][:, -1], expected, rtol=1e-9, atol=1e-12)
-
-few(GAINS)
-again = runner(20_000, threads=2)  # another thread compiles meanwhile
-thread = threading.Thread(target=again._fused.program.compile)
-thread.start()
-child = os.fork()
-run()
-if child == 0:
-    again._fused.program.compile()
-    os.write(1, b"child ")
-    os._exit(0)
-thread.join()
-assert os.waitpid(child, 0)[1] == 0
-print("parent")
-"""
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
-def test_forked():
-    assert ended(FORKED) == ["child", "parent"]
-
-
-def test_sent_to_another_process():
-    """The loop of a runner, which is compiled there."""
-    made = pickle.loads(pickle.dumps(runner()._fused.program))
-    record, _ = made({"lane": [GAINS]}, len(GAINS), 200, every=200)
-    np.testing.assert_allclose(record[0][:, -1], turned(GAINS, 200), rtol=1e-10)
-
-
-def test_derivatives_are_not_sent_to_another_process():
-    sent = pickle.loads(pickle.dumps(runner()))
-    np.testing.assert_allclose(last(sent(GAINS)), turned(GAINS, 200), rtol=1e-10)
-    with pytest.raises(NotImplementedError, match="sent to another process has values"):
-        jax.jvp(lambda x: sent(x).record[0], (GAINS,), (GAINS,))
-
-
-@pytest.mark.parametrize("lanes", [0, 3])
-def test_no_batches_of_lanes(lanes):
-    """Further axes may be empty, of values and of tangents, as with the other engine."""
-    x, none = jnp.ones(lanes), jnp.ones((0, lanes))
-    for run in (runner(), runner(engine="scan")):
-        values = lambda x, run=run: run(x).record[0]
-        pushed = lambda x, rate, f=values: jax.jvp(f, (x,), (rate,))
-        assert jax.vmap(values)(none).shape == (0, lanes, 2)
-        _, tangent = jax.vmap(pushed)(none, none)
-        assert tangent.shape == (0, lanes, 2)
-        _, tangent = jax.vmap(pushed, (None, 0))(x, none)
-        assert tangent.shape == (0, lanes, 2)
-
-
-class Counted(Iteration):
-    """What is recorded at t = 0 is of another kind than later: `begun(sample)`."""
-
-    begun: Callable = eqx.field(static=True)
-
-    def init(self):
-        return self.begin(self.sample), recorded(self.begun(self.sample))
-
-    def advance(self, k, carry, prepared):
-        after = self.step(carry, self.sample)
-        return after, recorded(after[0])
-
-
-def counted_run(begun, engine):
-    make = lambda sample: Counted(sample, rotated, started, begun)
-    return Runner(make, 1.0, 3, record=lambda r: r.x, every=1, engine=engine)(GAINS)
-
-
-@pytest.mark.parametrize("begun", [jnp.int32, jnp.float32, lambda x: x > 0])
-def test_records_of_other_types_at_the_start(begun):
-    """Left to the other engine, which finds a type for both."""
-    with pytest.raises(NotFusible, match=r"records of the same types.* at t = 0 has"):
-        counted_run(begun, "fused")
-    with pytest.warns(UserWarning, match="records of the same types"):
-        found = np.asarray(counted_run(begun, "auto").record)
-    assert found.dtype == np.float64
-    np.testing.assert_array_equal(found[:, 0], np.asarray(begun(GAINS), np.float64))
-    np.testing.assert_allclose(found[:, 3], turned(GAINS, 3), rtol=1e-12)
-
-
-def test_records_of_plain_numbers_at_the_start():
-    for engine in ("fused", "scan"):
-        found = np.asarray(counted_run(lambda x: 0.25, engine).record)
-        np.testing.assert_array_equal(found[:, 0], 0.25)
-        np.testing.assert_allclose(found[:, 3], turned(GAINS, 3), rtol=1e-12)
-
-
-def test_a_state_that_changes_its_type():
-    """A whole number to begin with is real for the other engine."""
-    begin, step = lambda x: (0, x), lambda z, x: (z[0] + 0.5 * x, z[1])
-    with pytest.raises(NotFusible, match=r"keeps its shapes and types, but .*'int64'"):
-        runner(begin=begin, step=step)
-    with pytest.warns(UserWarning, match="keeps its shapes and types"):
-        run = runner(4, engine="auto", begin=begin, step=step)
-    np.testing.assert_allclose(last(run(GAINS)), 2.0 * GAINS, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    "begun",
-    [lambda x: x[None], lambda x: {"a": x}, lambda x: None],
-    ids=["shape", "tree", "none"],
-)
-@pytest.mark.parametrize("engine", ["auto", "fused", "scan"])
-def test_records_of_other_shapes_at_the_start(begun, engine):
-    with pytest.raises((TypeError, ValueError), match=r"different|None"):
-        counted_run(begun, engine)
-
-
 # ---- the other engine --------------------------------------------------------------------
 
 
@@ -467,8 +207,10 @@ def test_whatever_fails_the_other_engine_runs(monkeypatch, where, way):
     """With a warning at the user's line, that of this file."""
     monkeypatch.setattr(program, where, broken)
 
+    make = lambda sample: Iteration(sample, rotated, started)
+
     def made_and_called():
-        run = runner(engine="auto")
+        run = Runner(make, 1.0, 200, record=lambda r: r.x)
         return run, way(lambda x: run(x).record[0][:, -1])(GAINS)
 
     with pytest.warns(UserWarning, match=r"KeyError.*please report") as caught:

@@ -9,7 +9,8 @@ import jax
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from .._replay import common_interval, run_log
+from .._checked_log import common_interval
+from .._replay import run_log
 from .._smooth import smooth
 from .._typing import Engine
 from ..diagnosis import Rows, absent_rows, bridged, touched

@@ -42,7 +42,7 @@ def controlled(controller: Any) -> AbstractController:
     **Raises:** `ValueError` for what is neither."""
     if isinstance(controller, AbstractController):
         return controller
-    if callable(controller) and not isinstance(controller, AbstractPlant):
+    if callable(controller) and not isinstance(controller, AbstractPlant | type):
         return OpenLoop(controller)
     hint = "a controller, or a function of time (s) for an open loop"
     raise unlike("controller", controller, hint)

@@ -1,16 +1,26 @@
 """Random numbers of several disturbances, kept apart."""
 
 from itertools import combinations
+from typing import Any
 
 import jax
 import numpy as np
 
 from .. import random
-from .._checks import is_concrete
+from .._checks import is_concrete, kind
 from .._typing import PyTree
 from ._base import AbstractDisturbance
 
 __all__ = ["check_streams"]
+
+
+def check_disturbances(actuator: Any, sensor: Any, input_sensor: Any) -> None:
+    """Refuse what is no disturbance in its place, nor `None`.
+
+    **Raises:** `ValueError`."""
+    kind("actuator", actuator, AbstractDisturbance, hint="a disturbance")
+    kind("sensor", sensor, AbstractDisturbance, hint="a disturbance")
+    kind("input_sensor", input_sensor, AbstractDisturbance, hint="a disturbance")
 
 
 def check_streams(tree: PyTree) -> None:

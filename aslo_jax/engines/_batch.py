@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import wadler_lindig as wl
 
 from .. import _choices
-from .._checks import counted, divides, one_of, whole
+from .._checks import counted, divides, function, kind, one_of, unlike, whole
 from .._experiment import Experiment, Record
 from .._module import WIDTH
 from .._typing import Engine, PyTree, RunningEngine
@@ -74,6 +74,10 @@ class Runner:
             block = counted("block", block)
             whole("block", block)
         one_of("engine", engine, _choices.Engine)
+        if not callable(make):
+            raise unlike("make", make, "a function from a sample to an experiment")
+        function("record", record)
+        kind("metrics", metrics, Mapping, hint="metrics by name, a dictionary")
         self.steps, self.every, self.block = steps, every, block
         self._like = like = jax.tree.map(shape_of, words(like))
         self._plan = Plan(make, _metrics(make, like, metrics or {}), record)

@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._checks import unlike
+from .._checks import function, kind, unlike
 from .._experiment import Record
 from .._module import Module
 from .._typing import PyTree
@@ -35,6 +35,11 @@ class AbstractMetric(Module):
     small arrays. Each sample of a batch has a state of its own, so that one that diverges
     leaves the others alone.
     """
+
+    def __check_init__(self) -> None:
+        name, made_of = getattr(self, "observer", None), getattr(self, "function", None)
+        kind("observer", name, str, hint="the name of an observer")
+        function("function", made_of)
 
     @abc.abstractmethod
     def init(self, record: Record) -> PyTree:

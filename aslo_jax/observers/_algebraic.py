@@ -13,7 +13,7 @@ from .._guard import Guard
 from .._realise import Pass
 from .._relations import AbstractTerms, terms_of
 from .._typing import FilterStart, PyTree
-from ._base import AbstractObserver, Estimate
+from ._base import AbstractObserver, Estimate, check_initial
 
 __all__ = ["AlgebraicObserver"]
 
@@ -62,10 +62,6 @@ class AlgebraicObserver(AbstractObserver):
         if self.guard is None:
             return Estimate(x, certificate, F.missing)
         initial = jnp.zeros_like(x) if self.initial is None else self.initial
-        if initial.shape != x.shape:
-            raise ValueError(
-                f"Argument `initial` must have the shape {x.shape} of the estimated state, "
-                f"but got {initial.shape}."
-            )
+        check_initial(initial, x)
         value, coasting = self.guard(F.scope("guard"), x, certificate, terms, initial)
         return Estimate(value, certificate, coasting)

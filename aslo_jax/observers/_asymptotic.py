@@ -12,7 +12,7 @@ from .._realise import Pass
 from .._small import safe_reciprocal
 from .._typing import PyTree, RealArray
 from ._algebraic import AlgebraicObserver
-from ._base import AbstractObserver, Estimate
+from ._base import AbstractObserver, Estimate, check_initial
 
 __all__ = ["Asymptotic"]
 
@@ -102,6 +102,7 @@ class Asymptotic(AbstractObserver):
         if self.initial is None:
             start = _Average(0.0 * one, jnp.zeros_like(algebraic.value))
         else:
+            check_initial(self.initial, algebraic.value)
             start = _Average(one, self.initial)
 
         def drive(X: _Average) -> _Drive:

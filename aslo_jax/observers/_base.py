@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from .._checks import kind, positive
+from .._checks import kind, number, positive, unlike
 from .._filters import _Hold
 from .._module import Module
-from .._realise import Advance, Flow, Interval, Pass, Start, States, state_of
+from .._realise import Advance, Flow, Interval, Pass, Start, States, check_states
 from .._signals import check_signals
 from .._typing import PyTree
 from ._missing import DOUBT, Gap, either, marked, whole
@@ -120,7 +120,8 @@ class AbstractObserver(Module, Generic[Est]):
     Conventions: `y[k]` is sampled at `t[k]`; `u[k]` is held on `[t[k], t[k+1])`. No
     estimate has direct feed-through of u.
 
-    **Raises:** `ValueError` for `substeps` below 1, and what its own equations refuse.
+    **Raises:** `ValueError` for `substeps` below 1, a `dt` that is not positive, the state
+    of another observer, and what its own equations refuse.
     """
 
     @abc.abstractmethod
@@ -189,8 +190,11 @@ class AbstractObserver(Module, Generic[Est]):
 
         A sample with an entry that is not finite is missing, as [`take`][] says.
         """
+        number("dt", dt, "s")
         positive("dt", dt, "s")
+        kind("state", state, ObserverState, hint="a state of this observer, from `init`")
         u, y = jax.tree.map(jnp.asarray, (u, y))
+        self._check_measured(state, u, y)
         interval = jnp.asarray(dt) / max(substeps, 1)
         coefficients = self.allocate(state.y, u).discretise(interval)
         return self.take(state, u, y, dt, coefficients, substeps=substeps)
@@ -220,14 +224,12 @@ class AbstractObserver(Module, Generic[Est]):
         tell. Before the first y that is finite
         nothing is known; there the observer begins.
         """
-        if jax.tree.map(jnp.shape, y) != jax.tree.map(jnp.shape, state.y):
-            self.allocate(y, u)  # which refuses it, before it is joined to the last one
+        self._check_measured(state, u, y)
         gap = Gap.before(u, state.y)[0] if state.gap is None else state.gap
         y = self.continued(state.y, y)
         now = whole(gap, state.y, u, y, dt, _kept(coefficients, substeps))
         begun = self.allocate(now.y, now.u).states
-        for name in begun:
-            state_of(state.states, name)
+        check_states(state.states, begun)
         states = either(now.first, begun, state.states)
         weight, before = now.weights
         ends = Interval(now.missing, weight, before), Interval(now.missing, weight)
@@ -237,6 +239,16 @@ class AbstractObserver(Module, Generic[Est]):
         doubtful = now.missing | (now.gap.doubt > DOUBT)
         estimate = marked(estimate, doubtful, Estimate)
         return ObserverState(states, now.y, now.gap), estimate
+
+    def _check_measured(self, state: ObserverState, u: PyTree, y: PyTree) -> None:
+        """Refuse a y of another shape than that of the last one, or a state of such a y."""
+        got, last = (jax.tree.map(jnp.shape, each) for each in (y, state.y))
+        if got != last:
+            self.allocate(y, u)  # which refuses y, where it is y that does not fit
+            raise ValueError(
+                f"Argument `state` must be a state of this observer, for a `y` of shape "
+                f"{got}, but it holds one of shape {last}; begin with `init`."
+            )
 
     def continued(self, before: PyTree, y: PyTree) -> PyTree:
         """The measurement y as the observer takes it, after the one `before`."""
@@ -272,7 +284,8 @@ class AbstractObserver(Module, Generic[Est]):
         ends: tuple[Interval | None, Interval | None],
     ) -> tuple[States, Any]:
         """The states after an interval from `before` to `y`, and the estimate there."""
-        if not isinstance(substeps, int) or substeps < 1:
+        plain = isinstance(substeps, int) and not isinstance(substeps, bool)
+        if not plain or substeps < 1:
             raise ValueError(
                 f"Argument `substeps` must be an integer of at least 1, but got {substeps}."
             )
@@ -311,11 +324,22 @@ def _kept(coefficients: PyTree, substeps: int) -> Any:
     return functools.reduce(lambda a, b: a * b, [slowest] * max(substeps, 1))
 
 
+def check_initial(initial: Array, x: Array) -> None:
+    """Refuse a guess that is not like the estimated state x."""
+    if jnp.shape(initial) != x.shape:
+        raise ValueError(
+            f"Argument `initial` must have the shape {x.shape} of the estimated state, but "
+            f"got {jnp.shape(initial)}."
+        )
+
+
 def check_observers(observers: Any) -> None:
     """Refuse what is not observers by name."""
     if not isinstance(observers, Mapping):
         kind("observers", observers, Mapping, hint="observers by name, a dictionary")
     for name, observer in observers.items():
+        if not isinstance(name, str):
+            raise unlike("observers", name, "observers by name, a string")
         what = f"observers[{name!r}]"
         kind(what, observer, AbstractObserver, hint="an observer")
 

@@ -14,7 +14,7 @@ from .._guard import Guard
 from .._realise import Pass
 from .._relations import AbstractTerms, Quadratic
 from .._typing import PyTree
-from ._base import AbstractObserver, Estimate
+from ._base import AbstractObserver, Estimate, check_initial
 from ._lifted_filter import LiftedBelief, LiftedKalman
 from ._lifting import added, entries, quadratic, rows_of, trace
 
@@ -117,11 +117,7 @@ class Lifted(AbstractObserver):
         if self.guard is None:
             return Estimate(x, certificate, jnp.asarray(False), found)
         initial = jnp.zeros_like(x) if self.initial is None else self.initial
-        if initial.shape != x.shape:
-            raise ValueError(
-                f"Argument `initial` must have the shape {x.shape} of the estimated state, "
-                f"but got {initial.shape}."
-            )
+        check_initial(initial, x)
         value, coasting = self.guard(F.scope("guard"), x, certificate, rows[0], initial)
         return Estimate(value, certificate, coasting, found)
 

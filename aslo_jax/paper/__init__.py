@@ -52,4 +52,4 @@ def run(section: int, out: pathlib.Path) -> None:
 
 def _experiments(section: int) -> Callable[[], tuple[dict[str, bytes], str]]:
     require("matplotlib", "plot")
-    return importlib.import_module(f"._section{section}", __package__).report
+    return importlib.import_module(f"._section{section}", __package__).SECTION.report

@@ -38,3 +38,14 @@ class AbstractPlant(Module):
         """The input zero, beside the measurement y: of the shape of y, where a plant does
         not say otherwise."""
         return jax.tree.map(jnp.zeros_like, y)
+
+
+def check_first(plant: AbstractPlant, x: PyTree) -> None:
+    """Refuse a first state that is not like that of the plant."""
+    own = jax.eval_shape(plant.initial)
+    shapes = [jax.tree.map(jnp.shape, each) for each in (own, x)]
+    if jax.tree.structure(own) != jax.tree.structure(x) or shapes[0] != shapes[1]:
+        raise ValueError(
+            f"Argument `initial` must be a state of the `{type(plant).__name__}`, of the "
+            f"shape {shapes[0]}, but got {shapes[1]}."
+        )

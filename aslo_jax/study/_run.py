@@ -24,7 +24,9 @@ from ._store import (
     Data,
     Schema,
     Store,
+    current_attributes,
     open_store,
+    order_of,
     refuse_damaged_files,
     refuse_taken,
     stored_attributes,
@@ -153,18 +155,25 @@ def open_study(path: str | Path) -> "xarray.Dataset":
     **Raises:** `ValueError` where there is no study of aslo_jax, or one whose coordinates
     or descriptions of arrays are damaged; a damaged chunk of samples raises as it is read.
     """
-    attributes = stored_attributes(Path(path))
+    attributes = current_attributes(Path(path))
     refuse_damaged_files(Path(path), attributes)
     xarray = require("xarray", "study")
-    found = xarray.open_zarr(str(path), consolidated=False, chunks=None)  # not a copy
-    # As they are in memory; NumPy's new type of text has few operations yet.
-    text = {
+    found = xarray.open_zarr(str(path), consolidated=False, chunks=None)
+    # NumPy's new type of text has few operations yet.
+    coordinates = {
         name: (x.dims, np.array([str(each) for each in x.values]), x.attrs)
-        for name, x in found.coords.items()
         if x.dtype.kind == "T"
+        else x.variable
+        for name, x in found.coords.items()
     }
-    found.attrs = {k: x for k, x in found.attrs.items() if k not in INTERNAL}
-    return found.assign_coords(text)
+    # A group is listed in any order: as they are in memory.
+    variables = {name: found[name].variable for name in order_of(attributes)[1:]}
+    dims = dict.fromkeys(["sample", *(d for x in variables.values() for d in x.dims)])
+    return xarray.Dataset(
+        variables,
+        {name: coordinates[name] for name in dims if name in coordinates},
+        {k: x for k, x in found.attrs.items() if k not in INTERNAL},
+    )
 
 
 def _allocated(schema: Schema) -> dict[str, np.ndarray]:

@@ -146,10 +146,8 @@ def verify(path: Path) -> Damage:
     **Raises:** `ValueError` where there is no study, or its description is damaged, which
     cannot be repaired.
     """
-    attributes = stored_attributes(path)
-    if attributes[FORMAT] != VERSION:
-        raise _other_version(path, attributes)
-    return damage(path, attributes, json.loads(attributes[ORDER]))
+    attributes = current_attributes(path)
+    return damage(path, attributes, order_of(attributes))
 
 
 def refuse_damaged_files(path: Path, attributes: Mapping[str, Any]) -> None:
@@ -210,15 +208,26 @@ def stored_attributes(path: Path) -> dict[str, Any]:
     return attributes
 
 
+def current_attributes(path: Path) -> dict[str, Any]:
+    """As [`stored_attributes`][], those of another version refused."""
+    attributes = stored_attributes(path)
+    if attributes[FORMAT] != VERSION:
+        raise _other_version(path, attributes)
+    return attributes
+
+
+def order_of(attributes: Mapping[str, Any]) -> list[str]:
+    """The arrays that hold samples, in the order of their checksum."""
+    return json.loads(attributes[ORDER])
+
+
 def _check(path: Path, schema: Schema) -> None:
     if not path.is_dir():
         raise ValueError(
             f"{path} is a file, not a study of aslo_jax. It is left as it is; choose "
             "another path."
         )
-    attributes = stored_attributes(path)
-    if attributes[FORMAT] != VERSION:
-        raise _other_version(path, attributes)
+    attributes = current_attributes(path)
     for name, now in _plain(schema.attributes).items():
         was = attributes.get(name)
         if was != now:

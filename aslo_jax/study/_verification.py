@@ -94,7 +94,7 @@ def own_checksum(content: Mapping[str, Any]) -> str:
     """Of the description of a store, the content of its `zarr.json`; a text, since not
     every format that xarray writes has such large numbers."""
     rest = {name: x for name, x in content["attributes"].items() if name != OWN}
-    whole = json.dumps(content | {"attributes": rest}, sort_keys=True)
+    whole = json.dumps({**content, "attributes": rest}, sort_keys=True)
     return f"{zlib.crc32(whole.encode()):08x}"
 
 

@@ -1,9 +1,10 @@
 """Section 2 of the paper, from its experiments to its files."""
 
 from .._claims import Claim
-from .._report import files
+from .._section import Section
 from . import figures, simulations, systems, theory
-from .experiments import Printed, Runs, member, run_all
+from .experiments import Printed, member
+from .runs import Runs, run_all
 
 NOTES = (
     "The double integrator x1' = x2, x2' = u, y = x1 and its chain. The paper gives no "
@@ -13,32 +14,34 @@ NOTES = (
 )
 
 
-def claims(runs: Runs, printed: Printed) -> list[Claim]:
+def claims(runs: Runs) -> list[Claim]:
     """Every claim of the section, in the order of the paper."""
     fourth, fifth = (member(runs.chains[n], 0) for n in (4, 5))
     return [
         *theory.identity(runs.scenarios),
         *theory.corollary(runs.transients, runs.gains, runs.scenarios),
-        *systems.other_filters(printed),
-        *systems.realisations(printed),
+        *systems.other_filters(runs.printed),
+        *systems.realisations(runs.printed),
         *theory.chains(fourth, fifth),
         *theory.biases(runs.scenarios, member(runs.chains[4], 1)),
         *simulations.figure1(runs.transients, runs.gains),
-        *simulations.figure2(runs.noise, printed),
+        *simulations.figure2(runs.noise, runs.printed),
         *simulations.figure3(runs.parasitics),
     ]
 
 
-def report() -> tuple[dict[str, bytes], str]:
-    """The files of the section by name, and a table for the terminal."""
-    printed = Printed()
-    runs = run_all(printed)
-    drawn = [
-        figures.transients(runs),
-        figures.noise(runs, printed),
-        figures.parasitics(runs),
-        figures.exact_start(runs),
-        figures.input_bias(runs),
-        figures.noise_variance(printed),
-    ]
-    return files("Section 2 of the paper", NOTES, drawn, claims(runs, printed))
+SECTION = Section(
+    number=2,
+    notes=NOTES,
+    printed=Printed(),
+    run=run_all,
+    figures=(
+        figures.transients,
+        figures.noise,
+        figures.parasitics,
+        figures.exact_start,
+        figures.input_bias,
+        figures.noise_variance,
+    ),
+    claims=claims,
+)

@@ -76,10 +76,7 @@ def luenberger(gain: Array | float) -> ReducedLuenberger:
 
 
 class Printed(NamedTuple):
-    """The observers that the claims of section 2 are about, as functions of their gains.
-
-    The claims are checked on whatever stands here, so that a wrong observer shows.
-    """
+    """The observers that the claims of section 2 are about, as functions of their gains."""
 
     aslo: Callable[..., AbstractObserver] = aslo
     a_aslo: Callable[..., AbstractObserver] = a_aslo
@@ -298,29 +295,6 @@ def chain(printed: Printed, order: int) -> Simulation:
         )
 
     return one_by_one(one, jnp.array([0.0, BIAS]))
-
-
-class Runs(NamedTuple):
-    """Every experiment of the section, run."""
-
-    transients: Simulation
-    gains: Simulation
-    noise: Simulation
-    parasitics: Simulation
-    scenarios: dict[str, Simulation]
-    chains: dict[int, Simulation]
-
-
-def run_all(printed: Printed) -> Runs:
-    """All experiments on the given observers."""
-    return Runs(
-        transients(printed),
-        gains(printed),
-        noise(printed),
-        parasitics(printed),
-        scenarios(printed),
-        {order: chain(printed, order) for order in (4, 5)},
-    )
 
 
 def error(run: Simulation, name: str) -> np.ndarray:

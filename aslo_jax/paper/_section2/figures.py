@@ -9,13 +9,14 @@ from ...plot._figure import Figure
 from ...plot._style import BLACK, STYLES
 from .._linear import realisation
 from . import experiments as s
+from .runs import Runs
 from .systems import V, W, kalman_variance, printed_variance, variances
 
 ERROR = "error of x₂ (m/s)"
 TIME = "time (s)"
 
 
-def transients(runs: s.Runs) -> Figure:
+def transients(runs: Runs) -> Figure:
     """Figure 1."""
     t = np.asarray(runs.transients.t)[0]
     by_rate, by_gain = runs.transients, runs.gains
@@ -37,7 +38,8 @@ def transients(runs: s.Runs) -> Figure:
         axes = figure.subplots(2, 2, sharex=True, sharey=True)
         for ax, (title, errors, gain, values) in zip(axes.flat, panels, strict=True):
             for style, value, error in zip(STYLES, values, errors[..., 0], strict=True):
-                ax.plot(t, error, label=f"{symbol(gain)} = {value:g} rad/s", **style)
+                name = symbol(gain).replace(" ", "_")
+                ax.plot(t, error, label=f"{name} = {value:g} rad/s", **style)
             ax.set(title=title, xlim=(0, 5))
             ax.legend(loc="lower right")
         for ax in axes[:, 0]:
@@ -53,13 +55,13 @@ def transients(runs: s.Runs) -> Figure:
     return Figure("figure1", caption, data, draw)
 
 
-def noise(runs: s.Runs, printed: s.Printed) -> Figure:
+def noise(runs: Runs) -> Figure:
     """Figure 2."""
     batch, names = runs.noise, ("ASLO", "A-ASLO")
     shown = batch.t[0] <= 20.0
     t = batch.t[0][shown]
     errors = {name: s.error(batch, name)[0, shown, 0] for name in names}
-    observers = s.three(printed)
+    observers = s.three(runs.printed)
     deviation = {
         name: math.sqrt(realisation(observers[name]).variance(s.INTENSITY, 0.0))
         for name in names
@@ -87,7 +89,7 @@ def noise(runs: s.Runs, printed: s.Printed) -> Figure:
     return Figure("figure2", caption, data, draw)
 
 
-def parasitics(runs: s.Runs) -> Figure:
+def parasitics(runs: Runs) -> Figure:
     """Figure 3."""
     t, names = np.asarray(runs.parasitics.t)[0], ("ASLO", "A-ASLO")
     errors = {name: s.error(runs.parasitics, name)[..., 0] for name in names}
@@ -118,7 +120,7 @@ def parasitics(runs: s.Runs) -> Figure:
     return Figure("figure3", caption, data, draw)
 
 
-def exact_start(runs: s.Runs) -> Figure:
+def exact_start(runs: Runs) -> Figure:
     """The printed start against the exact one."""
     t = np.asarray(runs.transients.t)[0]
     names = ("ASLO", "ASLO exact", "A-ASLO", "A-ASLO exact")
@@ -156,7 +158,7 @@ def exact_start(runs: s.Runs) -> Figure:
     return Figure("exact_start", caption, data, draw, (7.2, 4.2))
 
 
-def input_bias(runs: s.Runs) -> Figure:
+def input_bias(runs: Runs) -> Figure:
     """O4's second claim."""
     run = runs.scenarios["input bias"]
     labels = {
@@ -184,10 +186,10 @@ def input_bias(runs: s.Runs) -> Figure:
     return Figure("input_bias", caption, data, draw, (5.4, 3.8))
 
 
-def noise_variance(printed: s.Printed) -> Figure:
+def noise_variance(runs: Runs) -> Figure:
     """The footnote of 2.3: the first-order filter against a second-order one."""
     gains = np.geomspace(1.0, 15.0, 41)
-    variance, least = variances(printed, gains), kalman_variance()
+    variance, least = variances(runs.printed, gains), kalman_variance()
     data = {
         "gain_rad_per_s": gains,
         "a_aslo_variance_m2_per_s2": variance,

@@ -8,6 +8,7 @@ import numpy as np
 from ..._simulate import Simulation
 from .._claims import Above, Below, Claim, Near
 from .._linear import realisation
+from .._settled import settled
 from . import experiments as s
 from .theory import decay_rate
 
@@ -214,12 +215,8 @@ def figure3(parasitics: Simulation) -> list[Claim]:
 
 
 def settling(run: Simulation, name: str) -> float:
-    """When the error of an observer is within 5 % of x2(0) for good (s); infinite where
-    it is not yet."""
-    outside = np.flatnonzero(np.abs(s.error(run, name)[:, 0]) > SETTLED * s.SPEED)
-    if outside.size and outside[-1] + 1 == run.t.shape[0]:
-        return math.inf
-    return float(run.t[outside[-1] + 1]) if outside.size else 0.0
+    """When the error of an observer is within 5 % of x2(0) for good (s)."""
+    return settled(np.asarray(run.t), s.error(run, name)[:, 0], SETTLED * s.SPEED)
 
 
 def _growth(times: list[float]) -> float:

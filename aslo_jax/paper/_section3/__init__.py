@@ -1,7 +1,7 @@
 """Section 3 of the paper, from its experiments to its files."""
 
 from .._claims import Claim
-from .._report import files
+from .._section import Section
 from . import comparison_claims, figures, flux_claims, machine_claims, machine_figures
 from .runs import Runs, run_all
 from .settings import Printed
@@ -23,7 +23,7 @@ NOTES = (
 )
 
 
-def claims(runs: Runs, printed: Printed) -> list[Claim]:
+def claims(runs: Runs) -> list[Claim]:
     """Every claim of the section, in the order of the paper."""
     return [
         *flux_claims.proposition(runs.closed),
@@ -31,21 +31,23 @@ def claims(runs: Runs, printed: Printed) -> list[Claim]:
         *flux_claims.determinant(runs.closed, runs.steady, runs.reversal),
         *comparison_claims.comparison(runs.closed, runs.growth),
         *comparison_claims.drive(runs.closed),
-        *machine_claims.claims(runs, printed),
+        *machine_claims.claims(runs),
     ]
 
 
-def report() -> tuple[dict[str, bytes], str]:
-    """The files of the section by name, and a table for the terminal."""
-    printed = Printed()
-    runs = run_all(printed)
-    drawn = [
-        figures.flux_errors(runs),
-        figures.exact_start(runs),
-        figures.reversal(runs),
-        machine_figures.wrim(runs),
-        machine_figures.interior_pmsm(runs),
-        machine_figures.bearing(runs),
-    ]
-    title = "Section 3 of the paper"
-    return files(title, NOTES, drawn, claims(runs, printed), [table(runs)])
+SECTION = Section(
+    number=3,
+    notes=NOTES,
+    printed=Printed(),
+    run=run_all,
+    figures=(
+        figures.flux_errors,
+        figures.exact_start,
+        figures.reversal,
+        machine_figures.wrim,
+        machine_figures.interior_pmsm,
+        machine_figures.bearing,
+    ),
+    claims=claims,
+    tables=(table,),
+)

@@ -241,13 +241,13 @@ def bearing(run: Simulation) -> list[Claim]:
     ]
 
 
-def claims(runs: Runs, printed: s.Printed) -> list[Claim]:
+def claims(runs: Runs) -> list[Claim]:
     """Those of every machine but the surface-mounted PMSM."""
     return [
         *windings(runs.shorted),
         *inductance(runs.modulation),
         *stepper(runs.stepper),
-        *angle(runs.closed, printed),
+        *angle(runs.closed, runs.printed),
         *interior(runs.salient),
         *bearing(runs.bearing),
     ]

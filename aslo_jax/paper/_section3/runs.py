@@ -12,6 +12,7 @@ from .settings import Printed
 class Runs(NamedTuple):
     """What the figures, the claims and the table are made of."""
 
+    printed: Printed
     closed: Simulation
     steady: Simulation
     reversal: pmsm.Reversal
@@ -26,6 +27,7 @@ class Runs(NamedTuple):
 def run_all(printed: Printed) -> Runs:
     """All experiments on the given observers."""
     return Runs(
+        printed,
         pmsm.closed_loop(pmsm.observers(printed)),
         pmsm.steady(printed),
         pmsm.reversal(printed),

@@ -116,10 +116,7 @@ def printed_angle(
 
 
 class Printed(NamedTuple):
-    """What the claims of section 3 are about, as functions of their gains.
-
-    The claims are checked on whatever stands here, so that a wrong observer shows.
-    """
+    """What the claims of section 3 are about, as functions of their gains."""
 
     aslo: Callable[..., AlgebraicObserver] = aslo
     a_aslo: Callable[..., Asymptotic] = a_aslo

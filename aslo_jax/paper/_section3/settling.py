@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._report import Table
+from .._settled import settled, settled_text
 from . import machines as m, pmsm, settings as s
 from .runs import Runs
 
@@ -23,14 +24,9 @@ class Trace(NamedTuple):
     later: float
 
     def settled(self, fraction: float) -> float:
-        """From when on the error stays below `fraction` of the scale (s); infinite where
-        the last error is above it. The first instant is not looked at: no estimate exists
-        at t = 0 yet."""
-        above = np.flatnonzero(self.error[1:] > fraction * self.scale) + 1
-        if above.size == 0:
-            return 0.0
-        last = above[-1]
-        return float(self.t[last + 1]) if last + 1 < self.t.size else np.inf
+        """From when on the error stays below `fraction` of the scale (s), from the second
+        instant on: no estimate exists at t = 0 yet."""
+        return settled(self.t[1:], self.error[1:], fraction * self.scale)
 
     def peak(self, start: float, end: float = np.inf) -> float:
         """The largest error from `start` to `end` (s), both included."""
@@ -153,9 +149,8 @@ def table(runs: Runs) -> Table:
 def _row(trace: Trace) -> dict[str, str]:
     first, last = float(trace.t[1]), float(trace.t[-1])
 
-    def settled(fraction):
-        time = trace.settled(fraction)
-        return f"{time:.3g}" if np.isfinite(time) else f"> {last:.3g}"
+    def of(fraction):
+        return settled_text(trace.t[1:], trace.error[1:], fraction * trace.scale)
 
     return {
         "experiment": trace.experiment,
@@ -163,8 +158,8 @@ def _row(trace: Trace) -> dict[str, str]:
         "quantity": trace.quantity,
         "unit": trace.unit,
         "size": f"{trace.scale:.3g}",
-        "settled_5_percent_s": settled(0.05),
-        "settled_0.1_percent_s": settled(1e-3),
+        "settled_5_percent_s": of(0.05),
+        "settled_0.1_percent_s": of(1e-3),
         "start_up_window_s": f"{first:.3g} to {trace.later:.3g}",
         "start_up_peak": f"{trace.peak(first, trace.later):.3g}",
         "later_window_s": f"{trace.later:.3g} to {last:.3g}",

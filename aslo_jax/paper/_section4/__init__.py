@@ -1,7 +1,7 @@
 """Section 4 of the paper, from its experiments to its files."""
 
 from .._claims import Claim
-from .._report import files
+from .._section import Section
 from . import (
     comparison_claims,
     comparison_figures,
@@ -44,19 +44,19 @@ def claims(runs: Runs) -> list[Claim]:
     ]
 
 
-def content(runs: Runs) -> tuple[dict[str, bytes], str]:
-    """The files of the section by name, and a table for the terminal, from its runs."""
-    drawn = [
-        figures.identities(runs),
-        figures.proposition4(runs),
-        figures.friction(runs),
-        comparison_figures.peers(runs),
-        comparison_figures.tuned(runs),
-        comparison_figures.model_errors(runs),
-    ]
-    return files("Section 4 of the paper", NOTES, drawn, claims(runs), tables.every(runs))
-
-
-def report() -> tuple[dict[str, bytes], str]:
-    """The files of the section by name, and a table for the terminal."""
-    return content(run_all(Printed()))
+SECTION = Section(
+    number=4,
+    notes=NOTES,
+    printed=Printed(),
+    run=run_all,
+    figures=(
+        figures.identities,
+        figures.proposition4,
+        figures.friction,
+        comparison_figures.peers,
+        comparison_figures.tuned,
+        comparison_figures.model_errors,
+    ),
+    claims=claims,
+    tables=(tables.settling, tables.comparison, tables.contenders),
+)

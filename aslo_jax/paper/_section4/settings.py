@@ -152,10 +152,7 @@ def a_aslo(
 
 
 class Printed(NamedTuple):
-    """What the claims of section 4 are about.
-
-    The claims are checked on whatever stands here, so that a wrong observer shows.
-    """
+    """What the claims of section 4 are about."""
 
     aslo: Callable[..., AbstractObserver] = aslo
     a_aslo: Callable[..., AbstractObserver] = a_aslo

@@ -4,6 +4,7 @@ import numpy as np
 
 from ..._simulate import Simulation
 from .._report import Table
+from .._settled import settled_text
 from . import loops, settings as s
 from .comparison_claims import best_differentiator, ratios
 from .runs import Runs
@@ -44,6 +45,7 @@ def _rows(experiment: str, run: Simulation, observer: str, units) -> list[dict[s
     found = []
     for j, unit in enumerate(units):
         scale = np.abs(run.hidden[:, j]).max()
+        begun = t[1:], error[1:, j]  # no estimate exists at t = 0 yet
         found.append(
             {
                 "experiment": experiment,
@@ -51,24 +53,15 @@ def _rows(experiment: str, run: Simulation, observer: str, units) -> list[dict[s
                 "velocity": f"q{j + 1}'",
                 "unit": unit,
                 "size": f"{scale:.3g}",
-                "settled_5_percent_s": settled(t, error[:, j], 0.05 * scale),
-                "settled_0.1_percent_s": settled(t, error[:, j], 1e-3 * scale),
-                "peak": f"{error[1:, j].max():.3g}",
+                "settled_5_percent_s": settled_text(*begun, 0.05 * scale),
+                "settled_0.1_percent_s": settled_text(*begun, 1e-3 * scale),
+                "peak": f"{begun[1].max():.3g}",
                 "rms": f"{np.sqrt(np.mean(error[later, j] ** 2)):.3g}",
                 "later_peak": f"{error[later, j].max():.3g}",
                 "final_error": f"{error[-1, j]:.3g}",
             }
         )
     return found
-
-
-def settled(t: np.ndarray, error: np.ndarray, limit: float) -> str:
-    """From when on the error stays below the limit (s), looking at t > 0 only."""
-    above = np.flatnonzero(error[1:] > limit) + 1
-    if above.size == 0:
-        return "0"
-    last = above[-1]
-    return f"{t[last + 1]:.3g}" if last + 1 < t.size else f"> {t[-1]:.3g}"
 
 
 def contenders(runs: Runs) -> Table:
@@ -124,8 +117,3 @@ def comparison(runs: Runs) -> Table:
         f"({', '.join(DIFFERENTIATORS)})."
     )
     return Table("comparison", f"{TITLE}: rms errors of tuned contenders", caption, rows)
-
-
-def every(runs: Runs) -> list[Table]:
-    """All of them."""
-    return [settling(runs), comparison(runs), contenders(runs)]
