@@ -157,7 +157,7 @@ def tabulated(
         elif align and not offsets and summary.biases():
             offsets = summary.biases()
         else:
-            stamps = of_stamps(reader.t, machine.longest_interval)
+            stamps = of_stamps(reader.t, machine.longest_interval, reader.labels["t"])
             verdict = diagnosing.result(keep_outliers)
             if any(finding.kind == "time_unit" for finding in stamps.warnings):
                 # What else seems wrong, and is told in seconds, follows from that.

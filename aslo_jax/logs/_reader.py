@@ -16,7 +16,7 @@ from ._frame import ANGLE, Frame
 from ._memory import in_memory
 from ._missing import MOST, Missing
 from ._offset import ROTATING, Offset, check_way, offset_of
-from ._select import checked_mapping, select
+from ._select import checked_mapping, doubtful, select
 from ._signals import MOTOR, Signals
 from ._source import Source
 
@@ -93,6 +93,7 @@ class LogReader:
     - `truth`: the truth columns that it has;
     - `offset`: what is taken from voltages and currents, if it was to be;
     - `labels`: what the file calls our columns, by our names in its frame;
+    - `unread`: truth that is not read since several columns may be it, a line each;
     - `name`: of the file; `said`: what was done of its columns, frame and missing samples,
       a line each, where that is not nothing.
 
@@ -107,6 +108,7 @@ class LogReader:
     truth: tuple[str, ...]
     offset: Offset | None
     labels: Mapping[str, str]
+    unread: tuple[str, ...]
     said: tuple[str, ...]
 
     def __init__(
@@ -147,6 +149,7 @@ class LogReader:
         self._source = path if isinstance(path, Source) else open_source(Path(path))
         self._chosen = select(self._source, here, mapped, self.frame)
         self.labels = {name: column.label for name, column in self._chosen.items()}
+        self.unread = doubtful(self._source, here, self._chosen)
         self._sampled = {*signals.inputs, *signals.outputs}
         self.optional = any(name in self._chosen for name in signals.optional)
         if self.optional:
@@ -253,6 +256,7 @@ class LogReader:
         read = [column.said(name) for name, column in self._chosen.items()]
         if any(read):
             yield f"read: {', '.join(filter(None, read))}"
+        yield from self.unread
         if frame := self.frame.said(self.labels.get(ANGLE, ""), self._turned):
             yield f"frame: {frame}"
         if self.offset is not None:
