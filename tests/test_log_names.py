@@ -6,7 +6,8 @@ import shlex
 import numpy as np
 import pytest
 
-from aslo_jax.logs import Frame, Log, LogError, Signals, read_log
+from aslo_jax.logs import Frame, Log, LogError, LogReader, Signals, read_log
+from aslo_jax.logs._memory import in_memory
 
 ROWS = 12
 K = np.arange(ROWS)
@@ -224,3 +225,19 @@ def test_frames_are_suggested():
     assert "--frame abc" in refusal(abc)
     assert "--frame alpha-beta" in refusal(HERE, frame="abc")
     assert "--frame dq" in refusal(dq, frame=Frame("abc"))
+
+
+def test_truth_that_may_be_either_of_two_columns_is_not_read_and_said():
+    there = HERE | {"theta_e": 0.1 * K, "theta_el": 0.2 * K}
+    reader = LogReader(in_memory(there))
+    assert reader.truth == ()
+    (line,) = reader.unread
+    assert line in reader.said
+    assert "`theta_e` and `theta_el`, each of which may be `theta_electrical`" in line
+    options = shlex.split(line.partition("say which: ")[2].replace(" or ", " "))[1::2]
+    for option, column in zip(options, ("theta_e", "theta_el"), strict=True):
+        name, _, given = option.partition("=")
+        log = Log.from_columns(there, columns={name: given})
+        np.testing.assert_array_equal(log.truth["theta_electrical"], there[column])
+    assert LogReader(in_memory(there), truth=False).unread == ()
+    assert LogReader(in_memory(HERE | {"theta_e": 0.1 * K})).unread == ()

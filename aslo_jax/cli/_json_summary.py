@@ -49,7 +49,7 @@ def summary_of(done: Done) -> dict[str, Any]:
             "scored": summary.scored,
             "quantities": {q.name: _figures(done, q) for q in machine.quantities},
             "diagnosis": dict(done.diagnosis.figures),
-            "notes": list(done.diagnosis.notes),
+            "notes": [*reader.unread, *done.diagnosis.notes],
         }
     )
 

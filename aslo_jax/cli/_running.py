@@ -130,11 +130,12 @@ def tabulated(
         trace = Trace(machine, reader.t.size)
         motions: dict[str, Motion] = {}
         truths: dict[str, Truth] = {}
-        diagnosing = Diagnosing(machine.circles(), reader.t.size, reader.interval)
+        circles = [c.read_from(reader.frame, reader.labels) for c in machine.circles()]
+        diagnosing = Diagnosing(circles, reader.t.size, reader.interval, shift)
         estimator = Estimator(machine, rates, reader.t, substeps, first, offsets, smoothed)
         rows = reader.t.size if smoothed else table.PIECE
         with TableWriter(out) as writer:
-            pairs = [circle.inputs for circle in machine.circles()]
+            pairs = [circle.inputs for circle in circles]
             for log in retimed_pieces(reader.pieces(rows), shift, pairs):
                 suspect = diagnosing.add(log)
                 if keep_outliers:
@@ -156,7 +157,7 @@ def tabulated(
         elif align and not offsets and summary.biases():
             offsets = summary.biases()
         else:
-            stamps = of_stamps(reader.t, machine.longest_interval)
+            stamps = of_stamps(reader.t, machine.longest_interval, reader.labels["t"])
             verdict = diagnosing.result(keep_outliers)
             if any(finding.kind == "time_unit" for finding in stamps.warnings):
                 # What else seems wrong, and is told in seconds, follows from that.

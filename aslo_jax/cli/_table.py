@@ -7,7 +7,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from .._checked_log import common_interval
 from .._replay import run_log
@@ -15,7 +15,7 @@ from .._smooth import smooth
 from .._typing import Engine
 from ..diagnosis import Rows, absent_rows, bridged, touched
 from ..logs import Log
-from ..machines import AbstractDescription
+from ..machines import AbstractDescription, Quantity
 from ..machines._base import Columns, Rates
 from ..machines._lifted import is_lifted
 from ..observers import (
@@ -26,6 +26,7 @@ from ..observers import (
     SideBySide,
 )
 from ..observers._pll import lagless
+from ._restarts import Restarted, slowest, stretches
 
 PIECE = 50_000  # rows replayed at once
 
@@ -91,6 +92,15 @@ class Replayed:
             self.slow, self._engine = str(said[0].message), "scan"
         return jax.tree.map(np.asarray, estimate)
 
+    @property
+    def running(self) -> bool:
+        """Whether a piece has been run since the start, or since [`Replayed.stop`][]."""
+        return self._state is not None
+
+    def stop(self) -> None:
+        """Forget everything: the next piece begins anew."""
+        self._state = None
+
     def restarted(
         self,
         t: Float[np.ndarray, " N"],
@@ -112,7 +122,7 @@ class Replayed:
                 parts.append(jax.tree.map(lambda x: x[:1], alone))
             first = end + 1
             if end < t.size - 1 or rows.start == end:
-                self._state = None
+                self.stop()
         return jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
 
@@ -166,6 +176,8 @@ class Estimator:
             q.name: Replayed(PhaseLockedLoop(bandwidth, wraps=False), interval)
             for q in self._tracked
         }
+        self._held = {q.name: 0.0 for q in self._tracked}
+        self._fresh = {s: Restarted(slowest(rates)) for s in machine.suffixes()}
         self._rows, self._first = 0, first
         self._last: Columns = {}
         self._before: tuple[Columns, Log] | None = None
@@ -192,6 +204,10 @@ class Estimator:
             made_up = touched(suspect, log.t.size)
             for suffix in self.machine.suffixes():
                 found[f"coasting{suffix}"] = found[f"coasting{suffix}"] | made_up
+        parts = stretches(log.t.size, suspect)
+        for suffix, fresh_one in self._fresh.items():
+            coasting = found[f"coasting{suffix}"]
+            found[f"coasting{suffix}"] = fresh_one.doubting(log.t, coasting, parts)
         for quantity in self.machine.quantities:
             if quantity.angle:
                 self._continue(found, quantity.columns[0])
@@ -201,12 +217,12 @@ class Estimator:
                 self.starts[suffix] = begin + int(np.argmax(trusted))
         for quantity in self._tracked:
             assert quantity.tracks is not None
-            start = self.starts.get(quantity.suffix, self._first)
             found[quantity.columns[0]], away = self._speed(
-                quantity.name,
+                quantity,
                 log.t,
                 found[quantity.tracks],
-                log.t.size if start is None else max(start - begin, 0),
+                found[f"coasting{quantity.suffix}"] == 0,
+                parts,
             )
             found[f"coasting_{quantity.name}"] = away | found[f"coasting{quantity.suffix}"]
         self._rows = begin + log.t.size
@@ -234,25 +250,41 @@ class Estimator:
 
     def _speed(
         self,
-        name: str,
+        quantity: Quantity,
         t: Float[np.ndarray, " N"],
         angle: Float[np.ndarray, " N"],
-        first: int,
+        trusted: Bool[np.ndarray, " N"],
+        parts: Sequence[slice],
     ) -> tuple[Float[np.ndarray, " N"], UInt8[np.ndarray, " N"]]:
-        """The speed (rad/s) of an angle (rad) that counts from row `first`, before it zero,
-        and where the loop does not yet agree with the angle, or no longer does.
+        """The speed (rad/s) of an angle (rad), and where the loop does not yet agree with
+        the angle, or no longer does. In each of the `parts` of the piece the loop starts
+        anew, in its first row that is `trusted`; until then the speed is the last one, at
+        first zero.
 
         It is `w + 2 b e` of the loop's state w and angle error e: unlike w alone, it does
         not lag under constant acceleration."""
-        speed, away = np.zeros_like(t), np.ones(t.size, np.uint8)
-        if t.size - first < 2:
-            return speed, away
-        t, angle = t[first:], angle[first:]
-        loop = self._loops[name](t, np.zeros_like(t), angle)
-        error = angle - loop.value[:, 0]
-        intervals = np.diff(t, prepend=2 * t[0] - t[1])
-        speed[first:] = loop.value[:, 1] + lagless(self._bandwidth, intervals) * error
-        away[first:] = loop.coasting
+        name, loop = quantity.name, self._loops[quantity.name]
+        speed, away = np.full_like(t, self._held[name]), np.ones(t.size, np.uint8)
+        for part in parts:
+            if part.start:
+                loop.stop()
+            speed[part] = self._held[name]
+            first = part.start
+            if not loop.running:
+                never = self._first is not None and quantity.suffix not in self.starts
+                if trusted[part].any():
+                    first += int(np.argmax(trusted[part]))
+                elif not never:
+                    continue
+            rows = slice(first, part.stop)
+            if part.stop - first < 2:
+                continue
+            tracked = loop(t[rows], np.zeros_like(t[rows]), angle[rows])
+            error = angle[rows] - tracked.value[:, 0]
+            intervals = np.diff(t[rows], prepend=2 * t[first] - t[first + 1])
+            speed[rows] = tracked.value[:, 1] + lagless(self._bandwidth, intervals) * error
+            away[rows] = tracked.coasting
+            self._held[name] = float(speed[rows][-1])
         return speed, away
 
     def _table(self, found: Columns, t: Float[np.ndarray, " N"], truth: Columns) -> Columns:

@@ -1,10 +1,14 @@
 """The equation of a turning flux: its tip, less what the current links, is on a circle."""
 
 import dataclasses
-from typing import Literal
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Complex, Float
+
+if TYPE_CHECKING:
+    from ..logs import Frame
 
 PHASES = np.exp(2j * np.pi / 3.0 * np.arange(3))
 
@@ -22,7 +26,10 @@ class Circle:
     - `saliency` (H): Ld - Lq;
     - `inputs`, `outputs`: its columns of u and y, alpha and beta;
     - `phases`: 3, or 2 for a machine that has two windings of its own;
-    - `symbols`: the names of voltages and currents in a log.
+    - `symbols`: our names of voltages and currents; `labels`: what a log calls them, by
+      default the same, and `angle` its column that the frame turns by;
+    - `frame`: that of the log, `"alpha-beta"`, `"dq"` or `"abc"`; of dq, `pole_pairs` of
+      the machine, where they are known, and whether the angle is the `mechanical` one.
     """
 
     quantity: str
@@ -39,6 +46,25 @@ class Circle:
     other: tuple[int, int] | None = None
     phases: Literal[2, 3] = 3
     symbols: tuple[str, ...] = ("u_alpha", "u_beta", "i_alpha", "i_beta")
+    labels: tuple[str, ...] = ()
+    frame: Literal["alpha-beta", "dq", "abc"] = "alpha-beta"
+    angle: str = "angle"
+    pole_pairs: int | None = None
+    mechanical: bool = False
+
+    def read_from(self, frame: "Frame", labels: Mapping[str, str]) -> "Circle":
+        """The same of a log in a `frame` of its own, which calls our columns by
+        `labels`."""
+        symbols = [new for name in self.symbols for new in frame.named(name)]
+        symbols = [name for name in symbols if name in labels or name[-2:] != "_c"]
+        changes: dict[str, Any] = {"symbols": tuple(symbols)}
+        changes["labels"] = tuple(labels.get(name, name) for name in symbols)
+        # The rotor of an induction machine is not turned.
+        if symbols != list(self.symbols):
+            changes |= {"frame": frame.name, "pole_pairs": frame.pole_pairs}
+            changes["angle"] = labels.get("angle", "angle")
+            changes["mechanical"] = frame.angle_kind == "mechanical"
+        return dataclasses.replace(self, **changes)
 
     def signals(
         self, u: Float[np.ndarray, "N m"], y: Float[np.ndarray, "N n"]

@@ -9,27 +9,34 @@ from ..logs import Log
 from ._absent import absent_rows, beside_holes, bridged, long_holes
 from ._circle import Circle
 from ._repair import repaired, without
+from ._rotations import FRAMES
 from ._rows import Rows, gaps_in, suspect_rows
 from ._sample import Sample
 from ._value import Diagnosis, Finding
 from ._verdict import of_circle
 
 SHOWN = 5  # rows that a message names
+FEW = 2e-3  # of the rows: more that seem wrong are so by their frame
 
 
 class Diagnosing:
     """The diagnosis of a log of `rows` rows, `interval` (s) apart, that comes piece by
     piece, each piece beginning with the last row of the one before.
 
-    - `circles`: what its fluxes must satisfy, of its machine.
+    - `circles`: what its fluxes must satisfy, of its machine;
+    - `shift`: the rows by which its inputs have been moved.
 
     Samples that are missing, not finite, are left alone: nothing is said of them or of the
     rows beside them.
     """
 
-    def __init__(self, circles: Sequence[Circle], rows: int, interval: float):
+    def __init__(
+        self, circles: Sequence[Circle], rows: int, interval: float, shift: float = 0.0
+    ):
         self.circles, self.interval = tuple(circles), interval
-        self._sample, self._seen = Sample(rows), 0
+        self._sample, self._seen = Sample(rows, shift=shift), 0
+        self._turns = any(circle.frame == "dq" for circle in self.circles)
+        self._read = Sample(rows, shift=shift)
         self._found: list[Rows] = []
 
     def add(self, log: Log) -> Rows:
@@ -46,6 +53,8 @@ class Diagnosing:
         broken[found.lost] = True
         if self.circles:
             self._sample.add(repaired(whole, found), broken)
+        if self._turns and log.angle is not None:
+            self._read.add(bridged(log, absent), long_holes(whole, absent, self.circles))
         self._seen = begin + log.t.size
         return found
 
@@ -55,11 +64,17 @@ class Diagnosing:
 
     def result(self, kept: bool = False) -> Diagnosis:
         """The diagnosis, once every piece has come; `kept`: whether outliers are."""
-        whole = Diagnosis(_of_rows(self.rows(), kept))
-        chunks = self._sample.chunks() if self.circles else []
+        rows = self.rows()
+        chunks, turning = self._sample.chunks(), self._read.chunks()
+        if rows.count <= FEW * self._seen:  # single rows that are wrong, and are mended
+            turning = chunks if turning else []
+        found = Diagnosis()
         for circle in self.circles:
-            whole = whole + of_circle(chunks, circle)
-        return whole
+            turns = turning if circle.frame == "dq" else []
+            found = found + of_circle(chunks, circle, turns)
+        if any(w.kind in FRAMES for w in found.warnings):
+            return found  # from which what rows seem wrong follows
+        return Diagnosis(_of_rows(rows, kept)) + found
 
 
 def diagnose(log: Log, circles: Sequence[Circle]) -> Diagnosis:

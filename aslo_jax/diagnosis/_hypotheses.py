@@ -1,7 +1,8 @@
 """What may be wrong with a log of a turning flux, each as a change of its signals."""
 
 import dataclasses
-from collections.abc import Callable
+import shlex
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -27,6 +28,8 @@ class Hypothesis:
       format strings, of the names in [`words`][] and the fitted value `{0}`;
     - `voltage`, `current`: the maps that mend them, `shift` the rows by which the voltage
       is moved; `resistance`, `inductance`: the factors that mend the parameters;
+    - `angle`: the factor that mends the angle of a log in dq, where the maps are then
+      meant; `None` where they are meant in alpha and beta;
     - `free`: what is fitted; `starts`: from where, the first of it: of resistance and
       inductance in units of their own;
     - `of`: whether the log or the machine's description is wrong;
@@ -41,6 +44,7 @@ class Hypothesis:
     shift: float = 0.0
     resistance: float = 1.0
     inductance: float = 1.0
+    angle: float | None = None
     free: tuple[Free, ...] = ()
     starts: tuple[float, ...] = (0.0,)
     of: Literal["log", "machine"] = "log"
@@ -53,6 +57,16 @@ def real_linear(function: Callable[[float, float], complex | float]) -> Map:
     return 0.5 * (x - 1j * y), 0.5 * (x + 1j * y)
 
 
+def scaled(factor: float) -> Map:
+    """The map that divides by `factor`."""
+    return (1.0 / factor, 0.0)
+
+
+def mapped(signal: str, change: Map) -> Any:
+    """The map of one signal, `"voltage"` or `"current"`, as an argument."""
+    return {signal: change}
+
+
 def apply(change: Map, z: Complex[np.ndarray, "*shape"]) -> Complex[np.ndarray, "*shape"]:
     """`z` after a map."""
     a, b = change
@@ -62,13 +76,24 @@ def apply(change: Map, z: Complex[np.ndarray, "*shape"]) -> Complex[np.ndarray, 
 
 
 def words(circle: Circle) -> dict[str, Any]:
-    """What messages are formatted with."""
-    ua, ub, ia, ib = circle.symbols
+    """What messages are formatted with: `u`, `i` and `uq`, `iq`, the columns of the log and
+    the second of them; options that `swap` two; and the parameters."""
+    names = circle.labels or circle.symbols
+    shown = [name if name.isidentifier() else f"`{name}`" for name in names]
+    voltages = sum(name.startswith("u") for name in circle.symbols)
+    u, i = shown[:voltages], shown[voltages:]
     return {
-        "ua": ua,
-        "ub": ub,
-        "ia": ia,
-        "ib": ib,
+        "u": listed(u),
+        "i": listed(i),
+        "ud": u[0],
+        "uq": u[1],
+        "id": i[0],
+        "iq": i[1],
+        "swap_u": _swapped(circle.symbols[:2], names[:2]),
+        "swap_i": _swapped(
+            circle.symbols[voltages : voltages + 2], names[voltages : voltages + 2]
+        ),
+        "angle": f"`{circle.angle}`",
         "R": circle.resistance,
         "L": circle.inductance,
         "m": circle.radius,
@@ -77,3 +102,15 @@ def words(circle: Circle) -> dict[str, Any]:
         "inductance": circle.inductance_name,
         "radius": circle.radius_name,
     }
+
+
+def listed(names: Sequence[str]) -> str:
+    """In words."""
+    *others, last = names
+    return f"{', '.join(others)} and {last}" if others else last
+
+
+def _swapped(symbols: Sequence[str], names: Sequence[str]) -> str:
+    """Options that read each of two columns as the other."""
+    pairs = zip(symbols, reversed(names), strict=True)
+    return " ".join(f"--column {shlex.quote(f'{ours}={name}')}" for ours, name in pairs)

@@ -1,5 +1,7 @@
 """What is wrong with the instants of a log: rounded, or of a clock that is too coarse."""
 
+import shlex
+
 import numpy as np
 from jaxtyping import Float
 
@@ -11,11 +13,12 @@ UNITS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 SHORTEST = 1e-7  # s: no log is sampled faster
 
 
-def of_stamps(t: Float[np.ndarray, " N"], longest: float) -> Diagnosis:
-    """The verdict on the instants `t` (s), shape `(N,)`, of a log, of a machine whose
-    median interval is below `longest` (s) in any sensible log."""
+def of_stamps(t: Float[np.ndarray, " N"], longest: float, label: str = "t") -> Diagnosis:
+    """The verdict on the instants `t` (s), shape `(N,)`, of a log, which calls them by
+    `label`, of a machine whose median interval is below `longest` (s) in any sensible
+    log."""
     interval = float(np.median(np.diff(t)))
-    found = [*_unit(interval, longest), *_steps(t[:MOST])]
+    found = [*_unit(interval, longest, label), *_steps(t[:MOST])]
     return Diagnosis(tuple(found))
 
 
@@ -65,17 +68,18 @@ def _steps(t: Float[np.ndarray, " N"]) -> list[Finding]:
     return [Finding("coarse_time", message)]
 
 
-def _unit(interval: float, longest: float) -> list[Finding]:
+def _unit(interval: float, longest: float, label: str) -> list[Finding]:
     if interval <= longest:
         return []
+    column = label if label.isidentifier() else f"`{label}`"
     for name, factor in UNITS:
         if SHORTEST <= factor * interval <= longest:
             return [
                 Finding(
                     "time_unit",
                     f"the log has {1.0 / interval:.4g} rows a second, too slow for this "
-                    f"kind of machine: `t` may be in {name}, not in seconds; try --column "
-                    f"'t=t*{factor:g}'",
+                    f"kind of machine: `{label}` may be in {name}, not in seconds; try "
+                    f"--column {shlex.quote(f't={factor:g}*{column}')}",
                 )
             ]
     return []

@@ -12,6 +12,8 @@ from ._circle import Circle
 from ._hypotheses import Hypothesis, apply
 from ._windows import Windows
 
+ARC = 1.5  # rad that the flux must turn in a window
+
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
@@ -19,6 +21,8 @@ class Trial:
 
     - `cost`, `residual`, `noise`, relative to the radius; `radius` (Wb): the one that fits;
     - `values`: of the free parameters of the hypothesis;
+    - `lead`: of a log in dq, `exp(j a)` of the angle a by which the magnet is ahead of the
+      d axis, in the mean, so that its length is 1 where that is constant;
     - `flux_error`: of an estimate that knows nothing of it, relative, rms.
     """
 
@@ -29,6 +33,7 @@ class Trial:
     radius: float
     values: tuple[float, ...]
     flux_error: float
+    lead: complex = 0j
 
     @property
     def tried(self) -> Hypothesis:
@@ -51,6 +56,20 @@ def trials(
         more, _ = _tried(windows, circle, list(group), flux)
         found += more
     return found
+
+
+def of_each(
+    windows: Windows,
+    circle: Circle,
+    hypotheses: Sequence[Hypothesis],
+    before: Windows | None = None,
+) -> list[Trial]:
+    """Hypotheses on windows of their own, and where flux errors are asked for, on the same
+    rows as they were `before`."""
+    flux = None
+    if before is not None:
+        _, flux = _tried(before, circle, [None], None)
+    return _tried(windows, circle, hypotheses, flux)[0]
 
 
 def arcs(windows: Windows, circle: Circle) -> Float[np.ndarray, " W"]:
@@ -113,6 +132,11 @@ def _tried(windows, circle, hypotheses, nominal):
             + np.einsum("p,pwn->wn", found.values[best], flux_basis[best])
         )
         mine = phi if nominal is None else nominal
+        lead = 0j
+        if windows.axis is not None:
+            magnet = phi - circle.inductance * y[best]
+            lead = magnet * windows.axis.conj()
+            lead = complex(np.mean(lead / np.maximum(np.abs(lead), 1e-300)))
         scale = np.sqrt(np.mean(np.abs(phi) ** 2))
         error = float(np.sqrt(np.mean(np.abs(phi - mine) ** 2)) / scale)
         # With another radius, the one that fits costs nothing.
@@ -126,6 +150,7 @@ def _tried(windows, circle, hypotheses, nominal):
                 float(found.radius[best]),
                 tuple(map(float, found.values[best])),
                 error,
+                lead,
             )
         )
     return trials, mine

@@ -3,7 +3,9 @@
 import math
 from collections.abc import Sequence
 
-from . import _trial as trial
+import numpy as np
+
+from . import _rotations as rotations, _trial as trial
 from ._causes import causes as known_causes
 from ._circle import Circle
 from ._hypotheses import words
@@ -15,38 +17,90 @@ from ._windows import Windows, turning_rate, windows_of
 CLEAR = 3e-4  # a relative residual below which nothing is looked for
 BETTER = 5.0  # times that a hypothesis must make the residual smaller
 ALIKE = 2.0  # times the smallest residual, up to which others explain a log as well
+FITS = 0.01  # a relative residual of a hypothesis that is believed by itself
+AXES = 1e-3  # a relative residual below which no frame is wrong
 UNEXPLAINED = 0.02  # a relative residual that is a warning of its own
 OF_A_LOG, OF_A_MACHINE = 0.01, 0.03  # flux errors that are worth a warning
 RADIUS = math.log(1.15)  # a magnet that is off by less does no harm
 DOUBT = 0.1  # of a parameter: an error that is likely in a right log
-ARC = 1.5  # rad that the flux must turn in a window
 
 
-def of_circle(chunks: Sequence[Chunk], circle: Circle) -> Diagnosis:
-    """The verdict on the chunks of a log."""
+def of_circle(
+    chunks: Sequence[Chunk], circle: Circle, turning: Sequence[Chunk] = ()
+) -> Diagnosis:
+    """The verdict on the chunks of a log; `turning`: those of a log in dq, as they were
+    read, which an angle that is wrong may have made look wrong everywhere."""
+    found, nominal = _of_flux(chunks, circle, turning)
+    if found.warnings or nominal is None or not turning:
+        return found
+    return found + _of_axis(turning, circle, nominal)
+
+
+def _of_flux(
+    chunks: Sequence[Chunk], circle: Circle, turning: Sequence[Chunk]
+) -> tuple[Diagnosis, Trial | None]:
+    """The verdict by the length of the flux, and the trial of the log as it is."""
     windows = _windows(chunks, circle)
+    if windows is None and turning:
+        found = [t for t in _turned(turning, circle) if t.cost < FITS]
+        if found:
+            best = min(found, key=lambda t: t.cost)
+            rivals = _plain([t for t in found if t.cost <= ALIKE * best.cost + 1e-4])
+            return Diagnosis((_warning(math.inf, rivals, circle),)), None
     if windows is None:
         note = f"{circle.quantity}: too little turning to check the log against its model"
-        return Diagnosis(notes=(note,))
+        return Diagnosis(notes=(note,)), None
     tried = trial.trials(windows, circle, known_causes(circle), CLEAR)
     nominal, others = tried[0], [t for t in tried[1:] if _possible(t, circle)]
+    if turning and nominal.cost > AXES:
+        others += _turned(turning, circle)
     figures = {
         "residual": nominal.residual,
         "noise": nominal.noise,
         "radius": nominal.radius,
     }
     if nominal.residual < CLEAR and _near(nominal, circle):
-        return Diagnosis(figures=figures)
+        return Diagnosis(figures=figures), nominal
     best = min(others, key=lambda t: t.cost)
     if best.cost > nominal.cost / BETTER:
-        return Diagnosis(_unexplained(nominal, best, circle), figures)
+        return Diagnosis(_unexplained(nominal, best, circle), figures), nominal
     explained = [t for t in others if t.cost <= nominal.cost / BETTER]
-    rivals = _plain([t for t in explained if t.cost <= ALIKE * best.cost + 1e-4])
-    figures["flux_error"] = max(t.flux_error for t in rivals)
+    alike = CLEAR if turning else 1e-4
+    rivals = [t for t in explained if t.cost <= ALIKE * best.cost + alike]
+    rivals = _plain([*rivals, *_named_scales(rivals, explained)])
     doubtful = [t for t in explained if abs(_changed(t, circle) - 1.0) < DOUBT]
+    axes = [t for t in rivals if t.tried.angle is not None and rotations.aligned(t)]
+    if axes and not rotations.aligned(nominal):  # that tells more than lengths do
+        rivals, doubtful = axes, []
+    figures["flux_error"] = max(t.flux_error for t in rivals)
     if any(_harmless(t, circle) for t in (*rivals, *doubtful)):
-        return Diagnosis(figures=figures)
-    return Diagnosis((_warning(nominal, rivals, circle),), figures)
+        return Diagnosis(figures=figures), nominal
+    return Diagnosis((_warning(nominal.cost, rivals, circle),), figures), nominal
+
+
+def _turned(chunks: Sequence[Chunk], circle: Circle) -> list[Trial]:
+    """What may be wrong with a log in dq and its angle."""
+    hypotheses = rotations.rotations(circle, chunks)
+    found = rotations.tried(chunks, circle, hypotheses)
+    return [t for t in found if _possible(t, circle)]
+
+
+def _of_axis(chunks: Sequence[Chunk], circle: Circle, nominal: Trial) -> Diagnosis:
+    """Where the magnet is beside the d axis of a log in dq: at constant speed and current
+    the length of the flux tells little."""
+    if abs(nominal.lead) < rotations.STEADY or rotations.aligned(nominal):
+        return Diagnosis()
+    both = (rotations.REVERSED, rotations.BOTH_SWAPPED)
+    others = [t for t in rotations.tried(chunks, circle, both) if rotations.aligned(t)]
+    best = min(others, key=lambda t: t.cost, default=None)
+    if best is not None and best.cost <= nominal.cost:
+        return Diagnosis((_warning(nominal.cost, [best], circle),))
+    degrees = np.degrees(np.angle(nominal.lead))
+    note = (
+        f"the magnet is {degrees:.3g} degrees ahead of the d axis, by the angle "
+        f"`{circle.angle}`: that has another zero, or d and q another convention"
+    )
+    return Diagnosis(notes=(note,))
 
 
 def _windows(chunks: Sequence[Chunk], circle: Circle) -> Windows | None:
@@ -54,8 +108,17 @@ def _windows(chunks: Sequence[Chunk], circle: Circle) -> Windows | None:
     windows = windows_of(chunks, circle, turning_rate(chunks, circle))
     if windows is None:
         return None
-    turning = trial.arcs(windows, circle) >= ARC
+    turning = trial.arcs(windows, circle) >= trial.ARC
     return windows.only(turning) if turning.any() else None
+
+
+def _named_scales(rivals: Sequence[Trial], explained: Sequence[Trial]) -> list[Trial]:
+    """Those of a wrong sign where a fitted scale of the currents comes near it: the scale
+    may make up for something else, such as the timing of the voltages."""
+    fitted = [t.values[0] for t in rivals if t.tried.kind == "current_scale"]
+    if any(abs(1.0 + value + 1.0) < DOUBT for value in fitted):
+        return [t for t in explained if t.tried.kind == "sign"]
+    return []
 
 
 def _plain(rivals: Sequence[Trial]) -> list[Trial]:
@@ -66,6 +129,8 @@ def _plain(rivals: Sequence[Trial]) -> list[Trial]:
     for t in sorted(rivals, key=by):
         kinds.setdefault(t.tried.kind, t)
     found = list(kinds.values())
+    if any(rotations.aligned(t) for t in found if t.tried.angle is not None):
+        found = [t for t in found if t.tried.angle is None or rotations.aligned(t)]
     named = [t for t in found if t.tried.plain > 1]
     return named or found
 
@@ -99,12 +164,12 @@ def _near(t: Trial, circle: Circle) -> bool:
     return abs(math.log(t.radius / circle.radius)) < RADIUS
 
 
-def _warning(nominal: Trial, rivals: Sequence[Trial], circle: Circle) -> Finding:
+def _warning(cost: float, rivals: Sequence[Trial], circle: Circle) -> Finding:
     shown = rivals[:3]
     causes = ", or ".join(_cause(t, circle) for t in shown)
     remedies = [t.tried.remedy.format(**words(circle)) for t in shown]
     remedy = "; or ".join(dict.fromkeys(filter(None, remedies)))
-    better = _times(nominal.cost / max(min(t.cost for t in shown), 1e-12))
+    better = _times(cost / max(min(t.cost for t in shown), 1e-12))
     harm = 100 * shown[0].flux_error
     told = f"the {circle.quantity} is off by about {harm:.3g} %, " if harm >= 0.1 else ""
     message = f"{causes}: {told}and the log fits {better} better without that; {remedy}"
@@ -141,8 +206,12 @@ def _how_large(factor: float) -> str:
 def _offset(b: complex, circle: Circle) -> str:
     """In words: `b` (V) is what the voltages lack; a current that is too large by what `b`
     drives through the resistance looks the same."""
-    ua, ub, ia, ib = circle.symbols
     i = b / circle.resistance
+    named = words(circle)
+    names = (named["ud"], named["uq"]), (named["id"], named["iq"])
+    if circle.frame != "alpha-beta":
+        names = ("alpha", "beta"), ("alpha", "beta")
+    (ua, ub), (ia, ib) = names
     return (
         f"of the currents, {i.real:.3g} A of {ia} and {i.imag:.3g} A of {ib}, or of the "
         f"voltages, {-b.real:.3g} V of {ua} and {-b.imag:.3g} V of {ub}"

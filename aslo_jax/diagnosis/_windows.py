@@ -28,6 +28,7 @@ class Windows:
       those of a voltage that is moved by so many rows;
     - `y`: the current (A); `radius`: what the radius follows, 1 for a magnet;
     - `dead`: the integral of the direction in which dead time acts (s);
+    - `axis`: the direction of the d axis of a log in dq, by its angle;
     - `rate`: how fast the flux turns (rad/s); `interval` (s).
     """
 
@@ -40,13 +41,15 @@ class Windows:
     shifted: dict[float, Complex[np.ndarray, "W n"]]
     rate: float
     interval: float
+    axis: Complex[np.ndarray, "W n"] | None = None
 
     def only(self, chosen: Bool[np.ndarray, " W"]) -> "Windows":
         """Some of the windows."""
         arrays = ("t", "voltage", "current", "y", "radius", "dead")
         kept = {name: getattr(self, name)[chosen] for name in arrays}
         shifted = {shift: x[chosen] for shift, x in self.shifted.items()}
-        return dataclasses.replace(self, **kept, shifted=shifted)
+        axis = None if self.axis is None else self.axis[chosen]
+        return dataclasses.replace(self, **kept, shifted=shifted, axis=axis)
 
 
 def turning_rate(chunks: Sequence[Chunk], circle: Circle) -> float:
@@ -70,9 +73,17 @@ def turning_rate(chunks: Sequence[Chunk], circle: Circle) -> float:
     return 0.0
 
 
-def windows_of(chunks: Sequence[Chunk], circle: Circle, rate: float) -> Windows | None:
-    """Windows of `1.25` turns at `rate` (rad/s), spread over the log; `None` where there is
-    not a whole one."""
+def windows_of(
+    chunks: Sequence[Chunk],
+    circle: Circle,
+    rate: float,
+    shifts: Sequence[float] = SHIFTS,
+    most: int = WINDOWS,
+    dead: bool = True,
+) -> Windows | None:
+    """Windows of `1.25` turns at `rate` (rad/s), at `most` so many, spread over the log,
+    with the voltage at these `shifts` too and, where it is asked for, what `dead` time
+    does; `None` where there is not a whole one."""
     interval = float(np.median(np.concatenate([np.diff(chunk.t) for chunk in chunks])))
     length = max(int(np.ceil(TURNS * 2.0 * np.pi / max(rate * interval, 1e-12))), ROWS)
     longest = max(chunk.t.size for chunk in chunks) - 5
@@ -84,8 +95,10 @@ def windows_of(chunks: Sequence[Chunk], circle: Circle, rate: float) -> Windows 
     ]
     if not places:
         return None
-    chosen = np.unique(np.linspace(0, len(places) - 1, WINDOWS).round().astype(int))
-    sums = {k: _sums(chunks[k], circle) for k in {places[c][0] for c in chosen}}
+    chosen = np.unique(np.linspace(0, len(places) - 1, most).round().astype(int))
+    sums = {
+        k: _sums(chunks[k], circle, shifts, dead) for k in {places[c][0] for c in chosen}
+    }
     parts = []
     for c in chosen:
         k, first = places[c]
@@ -99,13 +112,16 @@ def windows_of(chunks: Sequence[Chunk], circle: Circle, rate: float) -> Windows 
         stacked["y"],
         np.real(stacked["radius"]),
         stacked["dead"],
-        {s: stacked[f"shifted {s}"] for s in SHIFTS},
+        {s: stacked[f"shifted {s}"] for s in shifts},
         rate,
         interval,
+        stacked.get("axis"),
     )
 
 
-def _sums(chunk: Chunk, circle: Circle) -> dict[str, np.ndarray]:
+def _sums(
+    chunk: Chunk, circle: Circle, shifts: Sequence[float], dead: bool
+) -> dict[str, np.ndarray]:
     """Every series of a chunk, row by row."""
     u, y, radius = circle.signals(chunk.u, chunk.y)
     h = np.diff(chunk.t)
@@ -117,10 +133,12 @@ def _sums(chunk: Chunk, circle: Circle) -> dict[str, np.ndarray]:
         "current": total(0.5 * h * (y[1:] + y[:-1])),
         "y": y,
         "radius": radius,
-        "dead": total(h * _middle(circle.dead(y))),
+        "dead": total(h * _middle(circle.dead(y))) if dead else np.zeros_like(y),
     }
-    for shift in SHIFTS:
+    for shift in shifts:
         series[f"shifted {shift}"] = total(h * moved(u, shift)[:-1])
+    if chunk.angle is not None:
+        series["axis"] = np.exp(1j * chunk.angle)
     return series
 
 

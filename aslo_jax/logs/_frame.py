@@ -78,7 +78,7 @@ class Frame:
                 f"--frame {self.name} is for columns alpha and beta, but this machine has "
                 f"{', '.join(signals.inputs + signals.outputs)}; remove it."
             )
-        here = lambda names: tuple(new for name in names for new in self._named(name))
+        here = lambda names: tuple(new for name in names for new in self.named(name))
         thirds = [
             name for name in here(signals.inputs + signals.outputs) if name[-2:] == "_c"
         ]
@@ -92,7 +92,7 @@ class Frame:
             truth=(*signals.truth, *thirds, *(fluxes if self.name == "dq" else ())),
         )
 
-    def _named(self, name: str) -> tuple[str, ...]:
+    def named(self, name: str) -> tuple[str, ...]:
         """The columns here in place of one that ends in alpha; none for one in beta."""
         stem = _turned(name)
         if not stem:
@@ -117,12 +117,14 @@ class Frame:
         return float(self.pole_pairs or 1) if self.angle_kind == "mechanical" else 1.0
 
     def stationary(self, columns: Columns) -> Columns:
-        """The columns of this frame as alpha and beta, amplitude-invariant; others as they
-        are."""
+        """The columns of this frame as alpha and beta, amplitude-invariant, and the angle
+        as the electrical one; others as they are."""
         if self.name == "alpha-beta" and not self.power_invariant:
             return columns
         found = dict(columns)
-        angle = found.pop(ANGLE, None)
+        angle = found.get(ANGLE)
+        if angle is not None:
+            angle = found[ANGLE] = self.scale * angle
         ends = COMPONENTS[self.name]
         stems = [
             name.rpartition("_")[0] for name in columns if name.endswith("_" + ends[0])
@@ -136,7 +138,7 @@ class Frame:
                 vector = clarke(vector)
             else:
                 assert angle is not None
-                vector = inverse_park(vector, self.scale * angle)
+                vector = inverse_park(vector, angle)
             found[f"{stem}_alpha"], found[f"{stem}_beta"] = vector.T
         if self.power_invariant:
             for name in filter(lambda name: re.search("_(alpha|beta)$", name), found):

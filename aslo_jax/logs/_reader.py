@@ -16,7 +16,7 @@ from ._frame import ANGLE, Frame
 from ._memory import in_memory
 from ._missing import MOST, Missing
 from ._offset import ROTATING, Offset, check_way, offset_of
-from ._select import checked_mapping, select
+from ._select import checked_mapping, doubtful, select
 from ._signals import MOTOR, Signals
 from ._source import Source
 
@@ -32,13 +32,16 @@ class Log:
     - `u`: mean inputs over `[t[k], t[k+1])`, shape `(N, m)`, the optional ones last where
       the file has them; for a motor the stator voltage (V), m = 2;
     - `y`: outputs at `t[k]`, shape `(N, n)`; for a motor the stator current (A), n = 2;
-    - `truth`: the truth columns that the file has, each of shape `(N,)`.
+    - `truth`: the truth columns that the file has, each of shape `(N,)`;
+    - `angle`: the electrical angle (rad) that u and y were turned by, shape `(N,)`, of a
+      log that was in dq.
     """
 
     t: Float[np.ndarray, " N"]
     u: Float[np.ndarray, "N m"]
     y: Float[np.ndarray, "N n"]
     truth: Columns
+    angle: Float[np.ndarray, " N"] | None = None
 
     @staticmethod
     def from_columns(
@@ -89,6 +92,8 @@ class LogReader:
     - `optional`: whether the file has the optional inputs;
     - `truth`: the truth columns that it has;
     - `offset`: what is taken from voltages and currents, if it was to be;
+    - `labels`: what the file calls our columns, by our names in its frame;
+    - `unread`: truth that is not read since several columns may be it, a line each;
     - `name`: of the file; `said`: what was done of its columns, frame and missing samples,
       a line each, where that is not nothing.
 
@@ -102,6 +107,8 @@ class LogReader:
     optional: bool
     truth: tuple[str, ...]
     offset: Offset | None
+    labels: Mapping[str, str]
+    unread: tuple[str, ...]
     said: tuple[str, ...]
 
     def __init__(
@@ -125,23 +132,24 @@ class LogReader:
             )
         if remove_offset is not None:
             check_way(remove_offset)
-        self._frame = Frame(frame) if isinstance(frame, str) else frame
+        self.frame = Frame(frame) if isinstance(frame, str) else frame
         self._missing = Missing(missing, most_missing)
-        here = self._frame.signals(signals)
+        here = self.frame.signals(signals)
         given = dict(columns or {})
-        if self._frame.angle is not None:
-            given[ANGLE] = self._frame.angle
+        if self.frame.angle is not None:
+            given[ANGLE] = self.frame.angle
         mapped = checked_mapping(given, here)
         if not truth:
             signals = dataclasses.replace(signals, truth=())
-            here = self._frame.signals(signals)
+            here = self.frame.signals(signals)
             mapped = {name: text for name, text in mapped.items() if name in here.names}
         self.path = path.path if isinstance(path, Source) else Path(path)
         self.name = getattr(self.path, "name", str(self.path))
         self.signals = signals
         self._source = path if isinstance(path, Source) else open_source(Path(path))
-        self._chosen = select(self._source, here, mapped, self._frame)
-        self._labels = {name: column.label for name, column in self._chosen.items()}
+        self._chosen = select(self._source, here, mapped, self.frame)
+        self.labels = {name: column.label for name, column in self._chosen.items()}
+        self.unread = doubtful(self._source, here, self._chosen)
         self._sampled = {*signals.inputs, *signals.outputs}
         self.optional = any(name in self._chosen for name in signals.optional)
         if self.optional:
@@ -170,7 +178,7 @@ class LogReader:
         t = np.concatenate(instants)
         instants.clear()
         check_rows(self.path, t.size)
-        label = self._labels["t"]
+        label = self.labels["t"]
         self.interval = check_time(self.path, t, label, source.where, max_gap)
         return t
 
@@ -195,14 +203,14 @@ class LogReader:
 
     def _batches(self, *, check: bool) -> Iterator[Columns]:
         """The columns of the log, from the first row on."""
-        truths = self._frame.signals(self.signals).truth
+        truths = self.frame.signals(self.signals).truth
         refused = None if self._missing.way == "refuse" else ("t", ANGLE)
 
         def turned() -> Iterator[Columns]:
             first, last = 0, None
             for data in self._named():
                 if check:
-                    check_columns(self.path, data, self._labels)
+                    check_columns(self.path, data, self.labels)
                     if refused is not None:
                         looked = {k: x for k, x in data.items() if k == "t"}
                     else:
@@ -210,15 +218,15 @@ class LogReader:
                     check_finite(
                         self.path,
                         looked,
-                        self._labels,
+                        self.labels,
                         lambda row, first=first: self._source.where(first + row),
                         truths,
                     )
                     last = self._watch_angle(data, last)
                 first += data["t"].size
-                yield self._frame.stationary(data)
+                yield self.frame.stationary(data)
 
-        kept = {"t", *self.signals.names}
+        kept = {"t", ANGLE, *self.signals.names}
         only = ({k: x for k, x in data.items() if k in kept} for data in turned())
         fill = Missing(self._missing.way, self._missing.most)
         yield from fill.filled(only, self._sampled, self._source.where, str(self.path))
@@ -237,7 +245,7 @@ class LogReader:
         """Keeps the largest change of the electrical angle from row to row."""
         if ANGLE not in data or not data["t"].size:
             return last
-        angle = self._frame.scale * data[ANGLE]
+        angle = self.frame.scale * data[ANGLE]
         steps = np.diff(angle, prepend=angle[0] if last is None else last)
         wrapped = (steps + np.pi) % (2.0 * np.pi) - np.pi
         if np.isfinite(wrapped).any():
@@ -248,7 +256,8 @@ class LogReader:
         read = [column.said(name) for name, column in self._chosen.items()]
         if any(read):
             yield f"read: {', '.join(filter(None, read))}"
-        if frame := self._frame.said(self._labels.get(ANGLE, ""), self._turned):
+        yield from self.unread
+        if frame := self.frame.said(self.labels.get(ANGLE, ""), self._turned):
             yield f"frame: {frame}"
         if self.offset is not None:
             yield f"offset removed: {self.offset.said()}"
@@ -281,6 +290,7 @@ class LogReader:
             u=_stacked(data, [*self.signals.inputs, *optional]),
             y=_stacked(data, self.signals.outputs),
             truth={name: data[name] for name in self.truth},
+            angle=data.get(ANGLE),
         )
 
 

@@ -124,15 +124,10 @@ def _recognised(
     """The column that is called `name`, with a unit or in another spelling."""
     if name in source.unusable and name not in source.names:
         raise LogError(f"{source.path}, column `{name}` {source.unusable[name]}.")
-    matching = _called(heads, name)
-    for part in ("base", "last"):
-        matching = matching or [h for h in heads if means(name, getattr(h, part), h.unit)]
-    if name == ANGLE:
-        matching = matching or [h for h in heads if says(h.last, ELECTRICAL)]
-    matching = matching or _of_array(heads, name, signals)
+    matching = _matching(heads, name, signals)
     if len(matching) > 1 and len({head.name for head in matching}) > 1:
         if name in signals.truth:
-            return None
+            return None  # which `doubtful` tells
         options = " or ".join(
             f"--column {shlex.quote(f'{name}={head.name}')}" for head in matching
         )
@@ -142,6 +137,37 @@ def _recognised(
             f"{options} (in Python, `columns=`)."
         )
     return _column(source, matching, name) if matching else None
+
+
+def _matching(heads: list[Head], name: str, signals: Signals) -> list[Head]:
+    """Those that may be `name`, by the surest way to tell that finds any."""
+    matching = _called(heads, name)
+    for part in ("base", "last"):
+        matching = matching or [h for h in heads if means(name, getattr(h, part), h.unit)]
+    if name == ANGLE:
+        matching = matching or [h for h in heads if says(h.last, ELECTRICAL)]
+    return matching or _of_array(heads, name, signals)
+
+
+def doubtful(
+    source: Source, signals: Signals, chosen: Mapping[str, Column]
+) -> tuple[str, ...]:
+    """What to say of each truth column that several columns may be, so that none is
+    read."""
+    heads = [Head(name, source.units.get(name, "")) for name in source.names]
+    found = []
+    for name in signals.truth:
+        columns = dict.fromkeys(head.name for head in _matching(heads, name, signals))
+        if name in chosen or len(columns) < 2:
+            continue
+        options = " or ".join(
+            f"--column {shlex.quote(f'{name}={column}')}" for column in columns
+        )
+        found.append(
+            f"not read: {' and '.join(f'`{c}`' for c in columns)}, each of which may be "
+            f"`{name}`; say which: {options}"
+        )
+    return tuple(found)
 
 
 def _called(heads: list[Head], text: str) -> list[Head]:
