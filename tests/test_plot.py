@@ -15,7 +15,8 @@ import aslo_jax as aslo
 from aslo_jax import _text
 from aslo_jax.plot import _canvas, _lines
 from aslo_jax.study._bands import Band
-from aslo_jax.tune import Fitted, Front, History, Surface
+from aslo_jax.tune import Calibration, Fitted, Front, History, Surface
+from aslo_jax.tune._calibration.imperfections import Imperfections
 
 T = np.linspace(0.0, 0.5, 51)
 TRUTH = np.stack([np.sin(9.0 * T), np.cos(9.0 * T)], axis=1)
@@ -61,7 +62,46 @@ FRONT = Front(
     np.zeros((2, 1)),
 )
 BANDS = {"ASLO": Band(*(k + np.exp(-T) for k in (1.0, 2.0, 3.0, 4.0)))}
+
+
+def calibrated(withdrawn: str = "") -> Calibration:
+    """Two parameters with parabolas, an error of the record that starts at zero and has no
+    interval, and prediction errors with a line at 40 Hz."""
+    rng, t = np.random.default_rng(4), 1e-3 * np.arange(2000)
+    names = ("resistance", "inductance", "output_offset[0]")
+    estimate = dict(zip(names, (2.0, 5e-3, -0.1), strict=True))
+    half = dict(zip(names, (0.01, 1e-3, np.nan), strict=True))
+    places = np.array([-1.0, 0.0, 1.0])
+    errors = np.sqrt(2) * np.sin(2 * np.pi * 40.0 * t) + 0.1 * rng.standard_normal(t.size)
+    return Calibration(
+        model=None,
+        before=dict(zip(names, (2.1, 4e-3, 0.0), strict=True)),
+        estimate=estimate,
+        after=estimate | {"inductance": np.nan, "output_offset[0]": np.nan},
+        interval={n: (x - half[n], x + half[n]) for n, x in estimate.items()},
+        imperfections=Imperfections(jnp.zeros(2), jnp.zeros(2), 1.0, 0.0, 0.0, 0.1, True),
+        withdrawn=withdrawn,
+        findings=(),
+        undetermined=(),
+        confidence=0.95,
+        output_noise=np.zeros(2),
+        drift_noise=np.zeros(2),
+        correlation=0.0,
+        profiles={n: (x * (1 + 0.1 * places), 4 * places**2) for n, x in estimate.items()},
+        t=t,
+        errors=errors[:, None],
+        rounds=3,
+        reason="it settled",
+    )
+
+
+def drawn_calibration(**place):
+    units = {"resistance": "Ω", "inductance": "H", "output_offset[0]": "A"}
+    return aslo.plot.calibration(calibrated(), units=units, frequency=(38.0, 42.0), **place)
+
+
 DRAWN = {
+    "calibration": drawn_calibration,
     "estimate": lambda **place: aslo.plot.estimate(made(), T, TRUTH, **place),
     "error": lambda **place: aslo.plot.error(made(), T, TRUTH, unit="Wb", **place),
     "bands": lambda **place: aslo.plot.bands(dataset(), **place),
@@ -70,7 +110,9 @@ DRAWN = {
     "landscape": lambda **place: aslo.plot.landscape(fitted(), SURFACE, **place),
     "front": lambda **place: aslo.plot.front(FRONT, **place),
 }
-PANELS = dict(estimate=2, error=2, bands=2, ranking=2, tuning=3, landscape=1, front=1)
+PANELS = dict(
+    calibration=5, estimate=2, error=2, bands=2, ranking=2, tuning=3, landscape=1, front=1
+)
 
 
 def lines(figure) -> dict:
@@ -215,6 +257,28 @@ def test_a_descent_a_landscape_and_a_front():
     np.testing.assert_array_equal(drawn["training"], FRONT.costs.T)
     with pytest.raises(ValueError, match="must hold 2 names, one for each tuned"):
         aslo.plot.tuning(fitted(), names=("lambda",))
+
+
+def test_a_calibration():
+    figure, found = drawn_calibration(), calibrated()
+    drawn = lines(figure)
+    low, high = drawn["interval inductance"][0]
+    np.testing.assert_allclose((low, high), (-20.0, 20.0), rtol=1e-12)
+    assert "interval output_offset[0]" not in drawn
+    np.testing.assert_allclose(drawn["before resistance"][0], 5.0)
+    assert "before output_offset[0]" not in drawn
+    x, deviance = drawn["profile resistance"]
+    np.testing.assert_allclose(deviance, 4 * (x / 0.2) ** 2, atol=1e-12)
+    f, density = drawn["spectrum 0"]
+    assert f[np.argmax(density)] == pytest.approx(40.0, abs=2.0)
+    # The sum over all frequencies is the variance.
+    assert np.sum(density) * (f[1] - f[0]) == pytest.approx(1.01, rel=0.05)
+    shown = texts(figure)
+    for text in ("from 2 Ω ± 10 mΩ", "from 5 mH ± 1 mH", "from −100 mA, no interval"):
+        assert text in shown
+    assert {"electrical frequency", "six times it", "not determined"} <= set(shown)
+    plain = texts(aslo.plot.calibration(found))
+    assert "electrical frequency" not in plain
 
 
 @pytest.mark.parametrize("name", ["$x$", "$", r"a_b^c$\frac$", "100 % <&>"])

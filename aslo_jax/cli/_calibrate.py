@@ -9,7 +9,6 @@ from .._extras import require
 from ._options import (
     AngleColumn,
     AngleKind,
-    BeforeAndAfter,
     Columns,
     FrameName,
     LogFile,
@@ -29,13 +28,21 @@ from ._outputs import refuse_overlap, staged
 if TYPE_CHECKING:
     from ..logs import Log
     from ..machines import AbstractDescription
+    from ..tune import Calibration
 
 
 def calibrate(
     log: LogFile,
     machine: MachineFile,
     out: Annotated[Path, typer.Option(help="The machine with what was found: .toml.")],
-    plot: BeforeAndAfter = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            help="A figure: parameters with intervals, the profile of the likelihood over "
+            "each, residuals before and after, and the spectrum of what is left: .png, "
+            ".pdf or .svg."
+        ),
+    ] = None,
     parameter: Annotated[
         list[str] | None,
         typer.Option(
@@ -150,7 +157,8 @@ def calibrate(
         parts[0].write_text(text, encoding="utf-8")
         check_calibrated(description, read_machine(parts[0]), recorded, found)
         if plot:
-            _draw(parts[1], log.name, recorded, description, read_machine(parts[0]))
+            after = read_machine(parts[0])
+            _draw(parts[1], log.name, recorded, description, after, found)
         warned = warnings(found)
         if json:
             parts[-1].write_text(as_json(found, values, warned), encoding="utf-8")
@@ -179,14 +187,23 @@ def _draw(
     log: "Log",
     before: "AbstractDescription",
     after: "AbstractDescription",
+    found: "Calibration",
 ) -> None:
-    """How far the estimates are from their relation, before and after."""
+    """What was found, and how far estimates are from their relation before and after."""
     from ..plot._commands import calibrated_figure
     from . import _table as table
+    from ._calibrated import electrical_frequency, units_of
 
-    found = {}
+    residuals, columns = {}, {}
     for label, machine in (("before", before), ("after", after)):
         columns = table.estimate_log(log, machine, machine.rates(log))
-        found[label] = machine.residuals(columns, log)
-    heading = f"{before.title}: calibration from {title}"
-    calibrated_figure(log.t, found, before.residual, heading).savefig(path)
+        residuals[label] = machine.residuals(columns, log)
+    calibrated_figure(
+        found,
+        log.t,
+        residuals,
+        before.residual,
+        f"{before.title}: calibration from {title}",
+        units_of(before, found),
+        electrical_frequency(after, columns),
+    ).savefig(path)

@@ -9,6 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from .._text import measured_unit
 from ..logs import Log
 from ..machines import AbstractDescription, MachineError
 from ..tune import Calibration
@@ -42,6 +43,39 @@ def warnings(found: Calibration) -> list[dict[str, Any]]:
         )
         told.append({"kind": "correlation", "message": message, "rows": []})
     return told
+
+
+def units_of(machine: AbstractDescription, found: Calibration) -> dict[str, str]:
+    """The units of the parameters, and of the errors of the record, by name."""
+    fields, of = type(machine.machine).model_fields, machine.signals
+    outputs, inputs = (measured_unit((*names, "")[0]) for names in (of.outputs, of.inputs))
+    known = {"output_offset": outputs, "input_offset": inputs, "dead_time": inputs}
+    known |= {"delay": "samples", "gain": ""}
+    units = {}
+    for name in found.estimate:
+        key = name.partition("[")[0]
+        if key in fields:
+            extra: Any = fields[key].json_schema_extra or {}
+            units[name] = extra.get("unit", "").replace("ohm", "Ω")
+        else:
+            units[name] = known.get(key, "")
+    return units
+
+
+def electrical_frequency(
+    machine: AbstractDescription, columns: Mapping[str, np.ndarray]
+) -> tuple[float, float] | None:
+    """The electrical frequencies (Hz) that hold in nine tenths of the rows of a table of
+    estimates; `None` of a machine that has none, and where it does not turn."""
+    for quantity in machine.quantities:
+        if quantity.tracks is None:
+            continue
+        speed = np.abs(columns[quantity.columns[0]]) / (2 * np.pi)
+        speed = speed[np.isfinite(speed) & (columns[f"coasting{quantity.suffix}"] == 0)]
+        if speed.size and np.median(speed) > 0:
+            low, high = np.percentile(speed, [5, 95])
+            return float(low), float(high)
+    return None
 
 
 def as_json(
