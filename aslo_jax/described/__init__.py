@@ -9,10 +9,11 @@ from ._calibrated import (
     calibrated_text as calibrated_text,
     values_of as values_of,
 )
+from ._operated import calibrate_study as calibrate_study, operation_in as operation_in
 from ._tuned import (
     Tuned as Tuned,
-    calibrate_study as calibrate_study,
     changed as changed,
+    compared as compared,
     machine_of as machine_of,
     tune_study as tune_study,
 )
@@ -23,7 +24,9 @@ __all__ = [
     "calibrate_study",
     "calibrated_text",
     "changed",
+    "compared",
     "machine_of",
+    "operation_in",
     "tune_study",
     "values_of",
 ]

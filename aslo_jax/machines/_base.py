@@ -195,6 +195,16 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         del log
         return {}
 
+    def operation(self, columns: Columns, log: Log) -> dict[str, float]:
+        """How a machine that turns was run in a log, told from its table of estimates:
+        `speed`, mean and mechanical (rad/s), `swing`, the amplitude of a sine with the same
+        variation of it (rad/s), and `torque`, what is left of the mean of that of its
+        currents after accelerating the rotor (N m); friction and load take that. The speed
+        is positive, the torque positive where it is in its direction. Empty by default, and
+        where too few rows are certified."""
+        del columns, log
+        return {}
+
     def columns_of_log(self) -> Layout:
         """The `layout` of this machine's logs."""
         return self.layout
