@@ -249,7 +249,9 @@ def _run_fused(
     u, y = jax.tree.map(xp.asarray, (u, y))
     u0, y0 = jax.tree.map(lambda s: s[0], (u, y))
     interval = None if common is None else common / substeps
-    state, first, coefficients = _begun(observer, t0, u0, y0, state, interval, coasts)
+    arguments = observer, t0, u0, y0, state, interval, coasts
+    begun = _begun_by_machine_code if read else _begun
+    state, first, coefficients = begun(*arguments)
     held, sampled = jax.tree.map(lambda s: s[:-1], u), jax.tree.map(lambda s: s[1:], y)
     assert state is not None
     rest, final = replay_fused(
@@ -271,12 +273,26 @@ def _run_fused(
     return (jax.device_put(estimate) if read else estimate), final
 
 
-@eqx.filter_jit
-def _begun(observer, t0, u, y, state, interval, coasts):
+def _begun_by_machine_code(*arguments):
+    """What [`_begun`][] gives, without XLA if need not be: for a start it compiles longer
+    than the engine for the whole log."""
+    from .engines._frontend.lower import NotFusible
+    from .engines._fused.once import once
+
+    try:
+        return once(_beginning, *arguments)
+    except NotFusible:
+        return _begun(*arguments)
+
+
+def _beginning(observer, t0, u, y, state, interval, coasts):
     """The state to begin with, its estimate, and the coefficients for an `interval` (s)."""
     state = observer.init(y, u) if state is None else state
     laws = None if interval is None else observer.allocate(y, u).discretise(interval)
     return state, _first(observer, t0, state, u, y, coasts), laws
+
+
+_begun = eqx.filter_jit(_beginning)
 
 
 def _first(observer, t0, state, u, y, coasts):

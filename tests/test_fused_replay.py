@@ -8,7 +8,7 @@ from motion import PrescribedPMSM
 
 import aslo_jax as aslo
 from aslo_jax.engines import NotFusible
-from aslo_jax.engines._fused import replay as fused_replay
+from aslo_jax.engines._fused import kept
 from aslo_jax.engines._fused.program import Program
 
 pytest.importorskip("llvmlite")
@@ -90,8 +90,9 @@ def test_what_does_not_fit_is_refused():
 
 
 def test_equal_observers_share_a_program_and_others_do_not(monkeypatch):
-    """Numbers of an observer are inputs of the program; what it is made of is not."""
-    fused_replay._cached.cache_clear()  # another test may have such an observer
+    """Numbers of an observer are inputs of its programs, that of the start and that of the
+    loop; what it is made of is not."""
+    kept._cached.cache_clear()  # another test may have such an observer
     made = []
     plain = Program.of
     monkeypatch.setattr(Program, "of", lambda *a: made.append(a) or plain(*a))
@@ -103,6 +104,6 @@ def test_equal_observers_share_a_program_and_others_do_not(monkeypatch):
         same(run("fused"), run("scan"))
         return len(made)
 
-    assert programs(17.5) == 1 and programs(43.0) == 1
-    assert programs(17.5, start="paper") == 2 and programs(43.0, start="paper") == 2
-    assert programs(43.0) == 2
+    assert programs(17.5) == 2 and programs(43.0) == 2
+    assert programs(17.5, start="paper") == 4 and programs(43.0, start="paper") == 4
+    assert programs(43.0) == 4

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from .._extras import require
 from . import _npz
@@ -54,13 +54,27 @@ def from_arrow(
     path: Path, where: Where, label: str, column: Any, first: int, blanks: bool
 ) -> Float[np.ndarray, " N"]:
     """A column of a batch that begins in row `first`, as float64."""
-    if column.null_count and not blanks:
-        row = first + int(column.is_null().to_numpy(zero_copy_only=False).argmax())
+    there = _valid(column)
+    if there is not None and not blanks:
+        row = first + int(np.argmin(there))
         raise LogError(
             f"{path}, {where(row)}, column `{label}`: the value is blank; remove or repair "
             "that row, or --missing coast or interpolate."
         )
-    return column.cast("float64", safe=False).to_numpy(zero_copy_only=False)
+    # Not by `to_numpy`, which imports pandas where that is installed, half a second.
+    numbers = column.cast("float64", safe=False)
+    begin, size = numbers.offset, len(numbers)
+    values = np.frombuffer(numbers.buffers()[1] or b"", float)[begin : begin + size]
+    return values if there is None else np.where(there, values, np.nan)
+
+
+def _valid(column: Any) -> Bool[np.ndarray, " N"] | None:
+    """Which values of a column are not blank; `None` where none is."""
+    if not column.null_count:
+        return None
+    flags = column.is_valid()
+    bits = np.unpackbits(np.frombuffer(flags.buffers()[1], np.uint8), bitorder="little")
+    return bits[flags.offset : flags.offset + len(flags)].astype(bool)
 
 
 def read_parquet(path: Path) -> Source:

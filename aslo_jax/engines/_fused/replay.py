@@ -1,8 +1,6 @@
 """Replay of recorded logs by the fused engine: one log, or many beside each other."""
 
-import functools
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,6 +12,7 @@ from ..._checks import is_concrete
 from ..._typing import PyTree
 from ...observers import AbstractObserver, ObserverState
 from .._runtime.host import widths
+from .kept import kept, shape_of, wide_numbers
 from .program import Bodies, Program
 
 # Lanes for a single log, which is bound by the length of its chain of operations, so that
@@ -95,7 +94,7 @@ class _Replay:
         kind = ("shared", "log") if lanes == 1 else ("lane", "lane log")
         if lanes == 1:
             fixed, signals = jax.tree.map(lambda x: np.asarray(x[0]), (fixed, signals))
-        shape = lambda tree, drop: jax.tree.map(functools.partial(_shape, drop=drop), tree)
+        shape = lambda tree, drop: jax.tree.map(lambda x: shape_of(x, drop), tree)
         drop = 1 if lanes > 1 else 0
         shapes = {kind[0]: shape(fixed, drop), kind[1]: shape(signals, drop + 1)}
         inputs = {kind[0]: fixed, kind[1]: signals}
@@ -114,7 +113,7 @@ class _Replay:
             lambda state, inputs: state,
         )
         make = lambda: Program.of(bodies, shapes, (ONE,) if lanes == 1 else widths())
-        return _kept(self._key(shapes), make)(inputs, lanes, steps)
+        return kept(self._key(shapes), make)(inputs, lanes, steps)
 
     def _key(self, shapes: PyTree) -> tuple[Any, ...]:
         """Of what a program depends on; it may not be hashable."""
@@ -122,35 +121,4 @@ class _Replay:
         leaves, tree = jax.tree.flatten(shapes)
         of_leaves = tuple((s.shape, np.dtype(s.dtype)) for s in leaves)
         how = self.substeps, self.coasts
-        wide = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
-        return tuple(rest[0]), rest[1], self.tree, *how, of_leaves, tree, wide
-
-
-def _shape(x: np.ndarray, drop: int) -> jax.ShapeDtypeStruct:
-    """Of an array without its first axes."""
-    return jax.ShapeDtypeStruct(x.shape[drop:], x.dtype)
-
-
-class _Recipe(NamedTuple):
-    key: tuple[Any, ...]
-    make: Callable[[], Program]
-
-    def __hash__(self):
-        return hash(self.key)
-
-    def __eq__(self, other):
-        return self.key == other.key
-
-
-@functools.lru_cache(maxsize=32)
-def _cached(recipe: _Recipe) -> Program:
-    return recipe.make()
-
-
-def _kept(key: tuple[Any, ...], make: Callable[[], Program]) -> Program:
-    """A program, made once for equal keys where these can be compared."""
-    try:
-        hash(key)
-    except TypeError:
-        return make()
-    return _cached(_Recipe(key, make))
+        return tuple(rest[0]), rest[1], self.tree, *how, of_leaves, tree, wide_numbers()
