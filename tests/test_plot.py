@@ -10,13 +10,13 @@ import matplotlib.figure
 import numpy as np
 import pytest
 import xarray as xr
+from calibrations import calibrated
 
 import aslo_jax as aslo
 from aslo_jax import _text
 from aslo_jax.plot import _canvas, _lines
 from aslo_jax.study._bands import Band
-from aslo_jax.tune import Calibration, Fitted, Front, History, Surface
-from aslo_jax.tune._calibration.imperfections import Imperfections
+from aslo_jax.tune import Fitted, Front, History, Surface
 
 T = np.linspace(0.0, 0.5, 51)
 TRUTH = np.stack([np.sin(9.0 * T), np.cos(9.0 * T)], axis=1)
@@ -62,37 +62,6 @@ FRONT = Front(
     np.zeros((2, 1)),
 )
 BANDS = {"ASLO": Band(*(k + np.exp(-T) for k in (1.0, 2.0, 3.0, 4.0)))}
-
-
-def calibrated(withdrawn: str = "") -> Calibration:
-    """Two parameters with parabolas, an error of the record that starts at zero and has no
-    interval, and prediction errors with a line at 40 Hz."""
-    rng, t = np.random.default_rng(4), 1e-3 * np.arange(2000)
-    names = ("resistance", "inductance", "output_offset[0]")
-    estimate = dict(zip(names, (2.0, 5e-3, -0.1), strict=True))
-    half = dict(zip(names, (0.01, 1e-3, np.nan), strict=True))
-    places = np.array([-1.0, 0.0, 1.0])
-    errors = np.sqrt(2) * np.sin(2 * np.pi * 40.0 * t) + 0.1 * rng.standard_normal(t.size)
-    return Calibration(
-        model=None,
-        before=dict(zip(names, (2.1, 4e-3, 0.0), strict=True)),
-        estimate=estimate,
-        after=estimate | {"inductance": np.nan, "output_offset[0]": np.nan},
-        interval={n: (x - half[n], x + half[n]) for n, x in estimate.items()},
-        imperfections=Imperfections(jnp.zeros(2), jnp.zeros(2), 1.0, 0.0, 0.0, 0.1, True),
-        withdrawn=withdrawn,
-        findings=(),
-        undetermined=(),
-        confidence=0.95,
-        output_noise=np.zeros(2),
-        drift_noise=np.zeros(2),
-        correlation=0.0,
-        profiles={n: (x * (1 + 0.1 * places), 4 * places**2) for n, x in estimate.items()},
-        t=t,
-        errors=errors[:, None],
-        rounds=3,
-        reason="it settled",
-    )
 
 
 def drawn_calibration(**place):

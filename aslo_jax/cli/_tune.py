@@ -127,7 +127,7 @@ def tune(
             )
             found, values = calibrate_study(content, recorded, progress=say)
             content = changed(content, values)
-            warned += warnings(found)
+            warned += warnings(found, (), machine_of(content))
             if not quiet:
                 typer.echo(str(found))
                 for line in _operated(values):

@@ -7,6 +7,7 @@ Above `machines`, `study` and `tune`, which know nothing of each other's files.
 from ._calibrated import (
     calibrate_machine as calibrate_machine,
     calibrated_text as calibrated_text,
+    parameters_of as parameters_of,
     values_of as values_of,
 )
 from ._operated import calibrate_study as calibrate_study, operation_in as operation_in
@@ -27,6 +28,7 @@ __all__ = [
     "compared",
     "machine_of",
     "operation_in",
+    "parameters_of",
     "tune_study",
     "values_of",
 ]

@@ -18,6 +18,7 @@ from ..logs import Log, Signals
 from ..observers import AbstractObserver, AlgebraicObserver, Asymptotic
 from ..plants import AbstractPlant
 from ..schema import Table, is_rate
+from ._keys import CalibrationTable
 from ._lifted import NO_EFFECT, is_lifted, no_effect
 from ._noise import Groups, Noise, white_noise
 from ._study import Study
@@ -119,6 +120,7 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
 
     machine: M
     observer: O
+    calibration: CalibrationTable = CalibrationTable()
 
     kind: ClassVar[str]
     title: ClassVar[str]

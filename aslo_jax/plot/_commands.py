@@ -47,7 +47,7 @@ def tuned_figure(errors: Mapping[str, tuple[float, float]], title: str) -> Canva
 
 
 def calibrated_figure(
-    found: "Calibration",
+    found: "Calibration | None",
     t: Float[np.ndarray, " N"],
     residuals: Mapping[str, Mapping[str, Float[np.ndarray, " N"]]],
     formula: str,
@@ -57,11 +57,14 @@ def calibrated_figure(
 ) -> Canvas:
     """What [`aslo_jax.plot.calibration`][] draws, and below the profiles how far estimates
     are from their relation (1) over time (s), `"before"` and `"after"` calibration, one
-    panel for each quantity."""
-    names, across = list(residuals["before"]), rows_of(len(found.estimate))
-    columns = [1, *across, *[1] * len(names), 1]
-    heights = [parameters_height(found), *[1.0] * (len(columns) - 1)]
-    gaps = [0.75] * (1 + len(across)) + [0.4] * (len(names) - 1) + [0.75]
+    panel for each quantity; only these where nothing was found."""
+    names = list(residuals["before"])
+    across = [] if found is None else rows_of(len(found.estimate))
+    columns, heights, gaps = [1] * len(names), [1.0] * len(names), [0.4] * (len(names) - 1)
+    if found is not None:
+        columns = [1, *across, *columns, 1]
+        heights = [parameters_height(found), *[1.0] * len(across), *heights, 1.0]
+        gaps = [0.75] * (1 + len(across)) + gaps + [0.75]
     with styled():
         canvas = Canvas(9.0, 1.5 * sum(heights) + sum(gaps) + 1.1)
         rows = grid(
@@ -69,11 +72,8 @@ def calibrated_figure(
         )  # fmt: skip
         place = 1.0 - 0.15 / canvas.get_figheight()
         canvas.text(0.1, place, shortened(title, 100), fontsize=10, va="center")
-        draw_parameters(rows[0][0], found)
-        middle = 1 + len(across)
-        profiles = [axes for row in rows[1:middle] for axes in row]
-        draw_profiles(profiles, found, units, across)
-        for (axes,), name in zip(rows[middle:-1], names, strict=True):
+        first = 1 + len(across) if found is not None else 0
+        for (axes,), name in zip(rows[first:], names, strict=False):
             drawn = {label: positive(residuals[label][name]) for label in _LOOKS}
             for label, x in drawn.items():
                 axes.plot(*thinned(t, x), color=_LOOKS[label], lw=0.8, label=label)
@@ -85,7 +85,10 @@ def calibrated_figure(
             _ticks.linear(axes.xaxis, "s", 10)
             axes.tick_params(labelbottom=name == names[-1])
             legend(axes)
-        if names:
-            rows[-2][0].set_xlabel("time")
-        draw_spectrum(rows[-1][0], found, frequency)
+        rows[first + len(names) - 1][0].set_xlabel("time")
+        if found is not None:
+            draw_parameters(rows[0][0], found)
+            profiles = [axes for row in rows[1:first] for axes in row]
+            draw_profiles(profiles, found, units, across)
+            draw_spectrum(rows[-1][0], found, frequency)
     return canvas
