@@ -30,6 +30,9 @@ Per: TypeAlias = Literal["krpm", "rad/s"]
 Speed: TypeAlias = Literal["mechanical", "electrical"]
 Connection: TypeAlias = Literal["star", "delta"]
 
+# Errors of a record that a calibration finds besides the parameters.
+RecordError: TypeAlias = Literal["offset", "input_offset", "gain", "dead_time", "delay"]
+
 # The windings of a wound-rotor machine.
 Winding: TypeAlias = Literal["stator", "rotor"]
 
@@ -45,6 +48,7 @@ __all__ = [
     "Missing",
     "Mode",
     "Per",
+    "RecordError",
     "RunningEngine",
     "Scale",
     "Speed",

@@ -1,14 +1,24 @@
 """The command `calibrate`: a file with the values that were found, and refusals."""
 
+import dataclasses
+import json
 import re
+from typing import get_args
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from calibrations import calibrated
+from machine_records import motor_log
 
+import aslo_jax as aslo
+from aslo_jax._choices import RecordError
 from aslo_jax.cli import main
 from aslo_jax.described import calibrate_machine, calibrated_text as rewritten
+from aslo_jax.described._calibrated import _near
 from aslo_jax.logs import read_log, write_table
 from aslo_jax.machines import MachineError, read_machine
+from aslo_jax.tune._calibration.imperfections import FITS
 
 MACHINE = """\
 # A motor.
@@ -97,3 +107,114 @@ def test_refusals(tmp_path, capsys):
     assert "--out would overwrite the machine" in capsys.readouterr().err
     assert run([*arguments, "--out", tmp_path / "new.toml", "--resolution", "0"]) == 2
     assert "`--resolution` must be positive" in capsys.readouterr().err
+
+
+NAMES = ("log.csv", "motor.toml", "new.toml", "found.json")
+
+
+def written(path, t, u, y):
+    names = ("u_alpha", "u_beta", "i_alpha", "i_beta")
+    write_table(path, {"t": t} | dict(zip(names, np.concatenate([u, y], 1).T, strict=True)))
+
+
+def turning(rows=900, offset=0.0):
+    """A run of the motor of `MACHINE`'s true parameters in closed form: torque, direct
+    current and speed vary."""
+    motor = aslo.plants.PMSM(8.875, 40.03e-3, 0.2086, 5, 60e-6)
+    t, u, y = motor_log(
+        motor, 120.0, lambda t: 0.8 * jnp.sin(31 * t),
+        lambda t: 1 + 0.3 * jnp.sin(17 * t), 2e-4, rows, 1e-3,
+    )  # fmt: skip
+    return t, u, y + np.array([offset, 0.0])
+
+
+AT_REST = {
+    "two rows": lambda t, u, y: (t[:2], u[:2], y[:2]),
+    "thirty rows": lambda t, u, y: (t[:30], u[:30], y[:30]),
+    "locked": lambda t, u, y: (t, 8.875 + 0 * u, 1.0 + 0 * y),
+}
+
+
+@pytest.mark.parametrize("case", AT_REST)
+def test_a_log_that_shows_nothing_says_what_estimate_says(case, tmp_path, capsys):
+    """And changes nothing, with the same exit."""
+    data, before, out, read = (
+        tmp_path / n for n in ("l.csv", "m.toml", "n.toml", "j.json")
+    )
+    before.write_text(MACHINE)
+    written(data, *AT_REST[case](*turning()))
+    common = [data, "--machine", before, "--quiet"]
+    assert run(["estimate", *common, "--out", tmp_path / "e.csv"]) == 0
+    said = capsys.readouterr().err
+    assert run(["calibrate", *common, "--out", out, "--json", read]) == 0
+    told = capsys.readouterr().err
+    assert told.startswith(said) and "No calibration: in " in told.removeprefix(said)
+    assert ("no estimate is certified" in said) == (case != "thirty rows")
+    assert out.read_text() == MACHINE
+    content = json.loads(read.read_text())
+    assert set(content["parameters"]) == {"resistance", "inductance", "magnet_flux"}
+    for each in content["parameters"].values():
+        assert each["value"] is None and not each["determined"] and not each["written"]
+    assert content["warnings"][-1]["kind"] == "nothing_determined"
+
+
+def test_errors_to_be_fitted_stand_in_the_file_and_what_is_found_is_told(tmp_path, capsys):
+    """An offset of the currents is found, is in no file, and is not said to be unchanged in
+    one."""
+    data, before, out, read = (
+        tmp_path / n for n in ("l.csv", "m.toml", "n.toml", "j.json")
+    )
+    text = MACHINE + '\n[calibration]\nfit = ["offset"]  # A\n'
+    before.write_text(text)
+    written(data, *turning(offset=0.03))
+    figure = tmp_path / "found.svg"
+    options = ["--machine", before, "--out", out, "--json", read, "--plot", figure]
+    assert run(["calibrate", data, *options]) == 0
+    told = capsys.readouterr()
+    assert "unchanged in" not in told.out
+    assert re.search(r"errors of the record, which .* does not hold: output_off", told.out)
+    assert re.search(r"output_offset\[0\] 0\.(029|030?)\d* A, output_offset\[1\]", told.out)
+    assert "offset" not in told.err  # it is fitted, so that no verdict is needed
+    content = json.loads(read.read_text())["parameters"]
+    for name, true in (("resistance", 8.875), ("inductance", 40.03e-3)):
+        assert content[name]["written"] and content[name]["determined"]
+        assert content[name]["value"] == pytest.approx(true, rel=3e-3)
+    assert content["output_offset[0]"]["value"] == pytest.approx(0.03, rel=0.05)
+    assert not content["output_offset[0]"]["written"]
+    assert out.read_text().endswith('[calibration]\nfit = ["offset"]  # A\n')
+    drawn = figure.read_text()
+    assert "output_offset[0]" in drawn and "electrical frequency" in drawn
+    before.write_text(text.replace('"offset"', '"ofset"'))
+    assert run(["calibrate", data, *options]) == 2
+    assert "calibration.fit" in capsys.readouterr().err
+
+
+def test_a_log_in_other_units_changes_nothing_and_is_named(tmp_path, capsys):
+    data, before, out = (tmp_path / n for n in ("l.csv", "m.toml", "n.toml"))
+    before.write_text(MACHINE)
+    t, u, y = turning()
+    written(data, t, u, 1e3 * y)
+    assert run(["calibrate", data, "--machine", before, "--out", out, "--quiet"]) == 0
+    told = capsys.readouterr().err
+    assert "the currents are in mA, not in A" in told and "--fit" not in told
+    assert out.read_text() == MACHINE
+
+
+def test_values_far_from_those_of_the_file_are_not_trusted():
+    of = dict(
+        before={"resistance": 1.0, "inductance": 2.0},
+        estimate={"resistance": 3.5, "inductance": 2.1},
+        after={"resistance": 3.5, "inductance": 2.1},
+        interval={"resistance": (3.4, 3.6), "inductance": (2.0, 2.2)},
+        withdrawn="",
+    )
+    found = calibrated(**of)
+    near = _near(found)
+    assert "values of resistance more than 3 times off" in near.withdrawn
+    assert not near.determined("resistance") and not near.determined("inductance")
+    closer = dataclasses.replace(found, before={"resistance": 1.2, "inductance": 2.0})
+    assert _near(closer) is closer
+
+
+def test_the_words_for_errors_of_a_record_are_those_of_files():
+    assert {*get_args(RecordError)} | {"output_offset"} == set(FITS)

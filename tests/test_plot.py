@@ -10,6 +10,7 @@ import matplotlib.figure
 import numpy as np
 import pytest
 import xarray as xr
+from calibrations import calibrated
 
 import aslo_jax as aslo
 from aslo_jax import _text
@@ -61,7 +62,15 @@ FRONT = Front(
     np.zeros((2, 1)),
 )
 BANDS = {"ASLO": Band(*(k + np.exp(-T) for k in (1.0, 2.0, 3.0, 4.0)))}
+
+
+def drawn_calibration(**place):
+    units = {"resistance": "Ω", "inductance": "H", "output_offset[0]": "A"}
+    return aslo.plot.calibration(calibrated(), units=units, frequency=(38.0, 42.0), **place)
+
+
 DRAWN = {
+    "calibration": drawn_calibration,
     "estimate": lambda **place: aslo.plot.estimate(made(), T, TRUTH, **place),
     "error": lambda **place: aslo.plot.error(made(), T, TRUTH, unit="Wb", **place),
     "bands": lambda **place: aslo.plot.bands(dataset(), **place),
@@ -70,7 +79,9 @@ DRAWN = {
     "landscape": lambda **place: aslo.plot.landscape(fitted(), SURFACE, **place),
     "front": lambda **place: aslo.plot.front(FRONT, **place),
 }
-PANELS = dict(estimate=2, error=2, bands=2, ranking=2, tuning=3, landscape=1, front=1)
+PANELS = dict(
+    calibration=5, estimate=2, error=2, bands=2, ranking=2, tuning=3, landscape=1, front=1
+)
 
 
 def lines(figure) -> dict:
@@ -215,6 +226,28 @@ def test_a_descent_a_landscape_and_a_front():
     np.testing.assert_array_equal(drawn["training"], FRONT.costs.T)
     with pytest.raises(ValueError, match="must hold 2 names, one for each tuned"):
         aslo.plot.tuning(fitted(), names=("lambda",))
+
+
+def test_a_calibration():
+    figure, found = drawn_calibration(), calibrated()
+    drawn = lines(figure)
+    low, high = drawn["interval inductance"][0]
+    np.testing.assert_allclose((low, high), (-20.0, 20.0), rtol=1e-12)
+    assert "interval output_offset[0]" not in drawn
+    np.testing.assert_allclose(drawn["before resistance"][0], 5.0)
+    assert "before output_offset[0]" not in drawn
+    x, deviance = drawn["profile resistance"]
+    np.testing.assert_allclose(deviance, 4 * (x / 0.2) ** 2, atol=1e-12)
+    f, density = drawn["spectrum 0"]
+    assert f[np.argmax(density)] == pytest.approx(40.0, abs=2.0)
+    # The sum over all frequencies is the variance.
+    assert np.sum(density) * (f[1] - f[0]) == pytest.approx(1.01, rel=0.05)
+    shown = texts(figure)
+    for text in ("from 2 Ω ± 10 mΩ", "from 5 mH ± 1 mH", "from −100 mA, no interval"):
+        assert text in shown
+    assert {"electrical frequency", "six times it", "not determined"} <= set(shown)
+    plain = texts(aslo.plot.calibration(found))
+    assert "electrical frequency" not in plain
 
 
 @pytest.mark.parametrize("name", ["$x$", "$", r"a_b^c$\frac$", "100 % <&>"])

@@ -1,7 +1,7 @@
 """`aslo-jax calibrate`: parameters of a machine from a recorded log without truth."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -9,7 +9,6 @@ from .._extras import require
 from ._options import (
     AngleColumn,
     AngleKind,
-    BeforeAndAfter,
     Columns,
     FrameName,
     LogFile,
@@ -29,13 +28,21 @@ from ._outputs import refuse_overlap, staged
 if TYPE_CHECKING:
     from ..logs import Log
     from ..machines import AbstractDescription
+    from ..tune import Calibration
 
 
 def calibrate(
     log: LogFile,
     machine: MachineFile,
     out: Annotated[Path, typer.Option(help="The machine with what was found: .toml.")],
-    plot: BeforeAndAfter = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            help="A figure: parameters with intervals, the profile of the likelihood over "
+            "each, residuals before and after, and the spectrum of what is left: .png, "
+            ".pdf or .svg."
+        ),
+    ] = None,
     parameter: Annotated[
         list[str] | None,
         typer.Option(
@@ -62,16 +69,17 @@ def calibrate(
         typer.Option(
             metavar="ERROR",
             help="Errors of the record to be found as well, one or several with commas: "
-            "offset (of the outputs), input_offset, gain, dead_time, delay.",
+            "offset (of the outputs), input_offset, gain, dead_time, delay; by default "
+            "those of the machine's file, calibration.fit.",
         ),
     ] = None,
     resolution: Annotated[
-        float,
+        float | None,
         typer.Option(
             help="A parameter is determined where the half width of its interval is less "
-            "than this share of it."
+            "than this share of it, by default 0.01 or what the machine's file has."
         ),
-    ] = 0.01,
+    ] = None,
     max_gap: MaxGap = None,
     json: Annotated[
         Path | None,
@@ -89,15 +97,19 @@ def calibrate(
     """
     double_precision()
     from .._checks import positive
-    from ..described import calibrate_machine, calibrated_text, values_of
+    from ..described import calibrate_machine, calibrated_text, parameters_of, values_of
     from ..logs import read_log
     from ..machines import read_machine
+    from ..tune._calibration.problem import Unobservable
     from ..tune._calibration.result import UNSETTLED
-    from ._calibrated import as_json, check_calibrated, warnings
+    from . import _calibrated as report
 
-    positive("--resolution", resolution)
-    if cutoff is not None:
-        positive("--cutoff", cutoff, "rad/s")
+    given: dict[str, Any] = {"cutoff": cutoff, "resolution": resolution}
+    given = {name: value for name, value in given.items() if value is not None}
+    for name, value in given.items():
+        positive(f"--{name}", value, "rad/s" if name == "cutoff" else "")
+    if fit is not None:
+        given["fit"] = [name for text in fit for name in text.split(",") if name]
     if out.suffix.lower() != ".toml":
         raise ValueError(f"--out must be a .toml file, but is {out}.")
     outputs = {"--out": out} | ({"--plot": plot} if plot else {})
@@ -109,68 +121,70 @@ def calibrate(
         check_figure_suffix(plot)
         require("matplotlib", "cli,plot")
     description = read_machine(machine)
+    names = parameters_of(description, parameter or ())
+    chain = {
+        "columns": mapping(column),
+        "max_gap": max_gap,
+        **reading(
+            frame,
+            angle,
+            angle_kind,
+            power_invariant,
+            missing,
+            most_missing,
+            description.pole_pairs,
+            remove_offset,
+        ),
+    }
+    say = (lambda text: None) if quiet else (lambda text: typer.echo(text, err=True))
+    text = machine.read_text(encoding="utf-8")
     with staged(*outputs.values()) as parts:
-        columns = mapping(column)
-        recorded = read_log(
-            log,
-            description.signals,
-            columns=columns,
-            truth=False,
-            max_gap=max_gap,
-            **reading(
-                frame,
-                angle,
-                angle_kind,
-                power_invariant,
-                missing,
-                most_missing,
-                description.pole_pairs,
-                remove_offset,
-            ),
-        )
-        found = calibrate_machine(
-            description,
-            recorded,
-            parameter or (),
-            cutoff=cutoff,
-            resolution=resolution,
-            fit=[name for text in fit or [] for name in text.split(",") if name],
-            progress=(lambda text: None)
-            if quiet
-            else (lambda text: typer.echo(text, err=True)),
-        )
-        if found.reason == UNSETTLED:
+        recorded = read_log(log, description.signals, truth=False, **chain)
+        said = report.verdict(log, description, **chain)
+        found, values, after = None, {}, description
+        if why := report.other_units(said):
+            say(f"no search: {why}")
+        else:
+            try:
+                found = calibrate_machine(
+                    description, recorded, names, progress=say, **given
+                )
+            except Unobservable as error:
+                why = str(error)
+                said.append({"kind": "nothing_determined", "message": why, "rows": []})
+        if found is not None and found.reason == UNSETTLED:
+            also = "".join(
+                f"; estimate says of the log: {each['message']}" for each in said
+            )
             raise ValueError(
                 f"No calibration: the search has not settled in {found.rounds} rounds, and "
                 "nothing is written; find fewer parameters (option --parameter), or record "
-                "a run in which speed and currents vary."
+                f"a run in which speed and currents vary{also}."
             )
-        values = values_of(description, found)
-        text = calibrated_text(machine.read_text(encoding="utf-8"), values)
-        parts[0].write_text(text, encoding="utf-8")
-        check_calibrated(description, read_machine(parts[0]), recorded, found)
+        if found is not None:
+            values = values_of(description, found)
+        parts[0].write_text(calibrated_text(text, values), encoding="utf-8")
+        if found is not None and values:
+            after = read_machine(parts[0])
+            report.check_calibrated(description, after, recorded, found)
+            said = report.verdict(log, after, **chain)
+        warned = said if found is None else report.warnings(found, said, description)
         if plot:
-            _draw(parts[1], log.name, recorded, description, read_machine(parts[0]))
-        warned = warnings(found)
-        if json:
-            parts[-1].write_text(as_json(found, values, warned), encoding="utf-8")
+            _draw(parts[1], log.name, recorded, description, after, found)
+        if json and found is None:
+            content = report.nothing_as_json(description, names, why, warned)
+            parts[-1].write_text(content, encoding="utf-8")
+        elif json and found is not None:
+            parts[-1].write_text(report.as_json(found, values, warned), encoding="utf-8")
     for warning in warned:
         typer.echo(f"aslo-jax: warning: {warning['message']}", err=True)
     if quiet:
         return
-    typer.echo(str(found))
-    typer.echo(
-        f"{found.reason[0].upper()}{found.reason[1:]} after {found.rounds} rounds; noise "
-        f"of the outputs {', '.join(f'{x:.2g}' for x in found.output_noise)}; correlation "
-        f"of prediction errors {found.correlation:.2g}, near 0 where the model is right"
-    )
-    unknown = [name for name in found.after if not found.determined(name)]
-    if unknown:
-        typer.echo(f"unchanged in {out}: {', '.join(unknown)}")
-        typer.echo(
-            "what determines them: direct current, torque and speed that vary, or a "
-            "standstill with current besides; --resolution takes wider intervals"
-        )
+    if found is None:
+        typer.echo(f"unchanged in {out}: {', '.join(names)}")
+        return
+    for line in report.summary(found, description, out):
+        typer.echo(line)
 
 
 def _draw(
@@ -179,14 +193,23 @@ def _draw(
     log: "Log",
     before: "AbstractDescription",
     after: "AbstractDescription",
+    found: "Calibration | None",
 ) -> None:
-    """How far the estimates are from their relation, before and after."""
+    """What was found, if anything was, and what estimates leave before and after."""
     from ..plot._commands import calibrated_figure
     from . import _table as table
+    from ._calibrated import electrical_frequency, units_of
 
-    found = {}
+    residuals, columns = {}, {}
     for label, machine in (("before", before), ("after", after)):
         columns = table.estimate_log(log, machine, machine.rates(log))
-        found[label] = machine.residuals(columns, log)
-    heading = f"{before.title}: calibration from {title}"
-    calibrated_figure(log.t, found, before.residual, heading).savefig(path)
+        residuals[label] = machine.residuals(columns, log)
+    calibrated_figure(
+        found,
+        log.t,
+        residuals,
+        before.residual,
+        f"{before.title}: calibration from {title}",
+        {} if found is None else units_of(before, found),
+        electrical_frequency(after, columns),
+    ).savefig(path)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from .._studies import NAMES as STUDIES
 from ._outputs import staged
 
 NAMES = ("pmsm_log.csv", "motor.toml", "README.md")
@@ -20,12 +21,25 @@ def sample(
         str | None,
         typer.Option(help="Print a machine of this kind as TOML instead, write nothing."),
     ] = None,
+    study: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help=f"Print the file of a ready-made study instead: {', '.join(STUDIES)}.",
+        ),
+    ] = None,
 ) -> None:
     """Write a sample: pmsm_log.csv, motor.toml and a README.md that describes them; or,
-    with --kind, print an example of a machine: sample --kind wrim > machine.toml.
+    with --kind, print an example of a machine: sample --kind wrim > machine.toml; with
+    --study, the file of a study that comes with the library: sample --study pmsm > my.toml.
 
     Files that exist are left alone and reported as an error.
     """
+    if kind is not None and study is not None:
+        raise ValueError("--kind and --study exclude each other; give one of them.")
+    if study is not None:
+        typer.echo(_study(study), nl=False)
+        return
     if kind is not None:
         from ..machines import template
 
@@ -40,3 +54,10 @@ def sample(
             part.write_bytes((files("aslo_jax") / "data" / name).read_bytes())
     for target in targets:
         typer.echo(target)
+
+
+def _study(name: str) -> str:
+    """The text of a ready-made study."""
+    if name not in STUDIES:
+        raise ValueError(f"--study must be one of {', '.join(STUDIES)}, but is `{name}`.")
+    return (files("aslo_jax.study") / "configs" / f"{name}.toml").read_text("utf-8")

@@ -1,7 +1,11 @@
 """`aslo-jax tune`: the gains of a study's observers, tuned by gradients."""
 
+import math
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -29,7 +33,7 @@ if TYPE_CHECKING:
 
 
 def tune(
-    config: Annotated[Path, typer.Argument(help="A study's file: .toml.")],
+    config: Annotated[str, typer.Argument(help="A study's file, or a ready-made name.")],
     out: Annotated[Path, typer.Option(help="The file with the tuned gains: .toml.")],
     plot: BeforeAndAfter = None,
     gain: Annotated[
@@ -43,8 +47,8 @@ def tune(
     log: Annotated[
         Path | None,
         typer.Option(
-            help="Calibrate the machine and the noise of its sensor from this log first, "
-            "of any format that `aslo-jax estimate` reads."
+            help="Take the machine, the noise of its sensor, and of a motor speed and load "
+            "from this log first, of any format that `aslo-jax estimate` reads."
         ),
     ] = None,
     column: Columns = None,
@@ -62,25 +66,33 @@ def tune(
     after: Annotated[
         float, typer.Option(min=0.0, help="From when on errors count (s).")
     ] = 0.0,
+    json: Annotated[
+        Path | None,
+        typer.Option(
+            help="The gains, before and after, and every warning, for programs: .json."
+        ),
+    ] = None,
     quiet: QuietTable = False,
 ) -> None:
     """Tune the gains of the observers of a study.
 
     Each observer is tuned on its own, for the least mean square error over samples of the
-    study's spread; fresh samples judge the result. The new file differs from the old one in
-    the values that were found; comments and settings stay.
+    study's spread. Fresh samples judge the result: gains are written where these improve
+    by more than chance may give. The new file differs from the old one in the values that
+    were found; comments and settings stay.
     """
     double_precision()
     from ..described import calibrate_study, changed, machine_of, tune_study
     from ..logs import read_log
-    from ..schema import read_toml
-    from ..schema._toml_text import rewritten
-    from ..study._config import configure
+    from ..schema._toml_text import MARK, rewritten
+    from ..study._config import read_configuration, text_of
+    from ._calibrated import warnings
 
     if out.suffix.lower() != ".toml":
         raise ValueError(f"--out must be a .toml file, but is {out}.")
     outputs = {"--out": out} | ({"--plot": plot} if plot else {})
-    inputs = {"the study": config} | ({"the log": log} if log else {})
+    outputs |= {"--json": json} if json else {}
+    inputs = {"the study": Path(config)} | ({"the log": log} if log else {})
     refuse_overlap(outputs, inputs)
     if plot:
         from ._figure import check_figure_suffix
@@ -89,10 +101,11 @@ def tune(
         require("matplotlib", "cli,plot")
     say = (lambda text: None) if quiet else (lambda text: typer.echo(text, err=True))
     with staged(*outputs.values()) as parts:
-        content = read_toml(config)
-        text = config.read_text(encoding="utf-8")
-        configure(content)
+        text = text_of(config)
+        content = tomllib.loads(text.removeprefix(MARK))
+        read_configuration(config)
         values: dict = {}
+        warned: list[dict[str, Any]] = []
         if log is not None:
             signals = machine_of(content).signals
             recorded = read_log(
@@ -114,8 +127,11 @@ def tune(
             )
             found, values = calibrate_study(content, recorded, progress=say)
             content = changed(content, values)
+            warned += warnings(found, (), machine_of(content))
             if not quiet:
                 typer.echo(str(found))
+                for line in _operated(values):
+                    typer.echo(line)
         tuned = tune_study(
             content,
             gain or (),
@@ -126,13 +142,33 @@ def tune(
             progress=lambda name: say(f"tuning {name}"),
         )
         for name, each in tuned.items():
-            rounded = {k: float(f"{v:.7g}") for k, v in each.after.items()}
-            values[f"observers.{name}"] = rounded
+            if each.improved:
+                rounded = {k: float(f"{v:.7g}") for k, v in each.after.items()}
+                values[f"observers.{name}"] = rounded
+            else:
+                message = f"{name}: {judged(each)}"
+                warned.append({"kind": "no_improvement", "message": message, "rows": []})
         parts[0].write_text(rewritten(text, values), encoding="utf-8")
         if plot:
             _draw(parts[1], content["title"], tuned)
+        if json:
+            parts[-1].write_text(_as_json(tuned, warned), encoding="utf-8")
+    for warning in warned:
+        typer.echo(f"aslo-jax: warning: {warning['message']}", err=True)
     if not quiet:
         _print(tuned)
+
+
+def _operated(values: "Mapping[str, Mapping[str, Any]]") -> Iterator[str]:
+    """What was taken from the log besides the parameters."""
+    reference = values.get("control.reference", {})
+    load = values.get("machine.load") or values.get("machine", {}).get("load", {})
+    if reference:
+        swing = reference.get("amplitude")
+        varied = "" if swing is None else f", varying by {swing:.4g} rad/s"
+        yield f"speed of the log: {reference['offset']:.4g} rad/s, mechanical{varied}"
+    if load:
+        yield f"load of the log: {load['offset']:.4g} N m"
 
 
 def _print(tuned: "dict[str, Tuned]") -> None:
@@ -142,16 +178,37 @@ def _print(tuned: "dict[str, Tuned]") -> None:
         )
         typer.echo(
             f"{name}: {gains}; rms error of fresh samples {each.rms_before:.4g} to "
-            f"{each.rms_after:.4g}, {compared(each.rms_before, each.rms_after)} "
-            f"({each.fitted.stopped})"
+            f"{each.rms_after:.4g}, {judged(each)} ({each.fitted.stopped})"
         )
 
 
-def compared(before: float, after: float) -> str:
-    """Two errors over fresh samples, in words."""
-    if after < before:
-        return f"{before / after:.3g} times less"
-    return "no less: more --samples may find better gains"
+def judged(each: "Tuned") -> str:
+    """What fresh samples say of tuned gains, in words."""
+    low, high = (100 * x for x in each.less)
+    known = f" ({low:.3g} to {high:.3g} %, 95 % interval)" if math.isfinite(low) else ""
+    if each.improved:
+        return f"their mean square is less{known}"
+    if not math.isfinite(each.rms_after):
+        return "which is not finite in every sample: the gains are not written"
+    return (
+        f"no improvement beyond chance of their mean square{known}: the gains are not "
+        "written; more --samples may find better ones"
+    )
+
+
+def _as_json(tuned: "dict[str, Tuned]", warned: "Sequence[Mapping[str, Any]]") -> str:
+    """Gains in the units of the file; null for what there is not."""
+    gains = {
+        f"{name}.{key}": {
+            "before": before,
+            "after": each.after[key],
+            "written": each.improved,
+            "less": [x if math.isfinite(x) else None for x in each.less],
+        }
+        for name, each in tuned.items()
+        for key, before in each.before.items()
+    }
+    return dumps({"gains": gains, "warnings": list(warned)}, indent=2) + "\n"
 
 
 def _draw(path: Path, title: str, tuned: "dict[str, Tuned]") -> None:

@@ -7,12 +7,14 @@ Above `machines`, `study` and `tune`, which know nothing of each other's files.
 from ._calibrated import (
     calibrate_machine as calibrate_machine,
     calibrated_text as calibrated_text,
+    parameters_of as parameters_of,
     values_of as values_of,
 )
+from ._operated import calibrate_study as calibrate_study, operation_in as operation_in
 from ._tuned import (
     Tuned as Tuned,
-    calibrate_study as calibrate_study,
     changed as changed,
+    compared as compared,
     machine_of as machine_of,
     tune_study as tune_study,
 )
@@ -23,7 +25,10 @@ __all__ = [
     "calibrate_study",
     "calibrated_text",
     "changed",
+    "compared",
     "machine_of",
+    "operation_in",
+    "parameters_of",
     "tune_study",
     "values_of",
 ]

@@ -1,5 +1,6 @@
 """The calibration of a described machine, and its file with the values that were found."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,6 +11,8 @@ from ..machines import AbstractDescription, MachineError
 from ..schema import hint
 from ..schema._toml_text import rewritten
 from ..tune import Calibration, calibrate
+
+FAR = 3.0  # times another value than in the file: what was found is no value of it
 
 
 def calibrate_machine(
@@ -22,10 +25,33 @@ def calibrate_machine(
 
     - `log`: of the machine, in SI units;
     - `parameters`: keys of `[machine]`, by default all that its relation depends on;
-    - `settings`: of [`calibrate`][].
+    - `settings`: of [`calibrate`][], by default those of the file's `[calibration]`.
+
+    The intervals are withdrawn where a parameter is more than three times larger or
+    smaller than in the file: that is a log in other units, or of another machine.
 
     **Raises:** [`MachineError`][] for a kind that offers no parameters, and for a name that
     is not one of them.
+    """
+    names = parameters_of(machine, parameters)
+    found = calibrate(
+        machine.plant(),
+        log.t,
+        log.u,
+        log.y,
+        where=lambda plant: tuple(getattr(plant, name) for name in names),
+        **machine.calibration.model_dump() | settings,
+    )
+    return _near(found)
+
+
+def parameters_of(
+    machine: AbstractDescription[Any, Any], asked: Sequence[str] = ()
+) -> tuple[str, ...]:
+    """The keys of `[machine]` that a calibration finds: those that are `asked` for, or the
+    usual ones.
+
+    **Raises:** [`MachineError`][], as [`calibrate_machine`][].
     """
     kind, unknowns = machine.kind, machine.unknowns
     if unknowns.refused or not unknowns.usual:
@@ -35,24 +61,35 @@ def calibrate_machine(
         )
     every = unknowns.usual
     known = (*every, *unknowns.further)
-    for name in parameters:
+    for name in asked:
         if name not in known:
             near = hint(name, known, "; did you mean `{}`?") or "."
             raise MachineError(
                 f"Argument `parameters` (option --parameter) must name one of "
                 f'{", ".join(known)} for a machine of kind "{kind}", but got `{name}`{near}'
             )
-    names = tuple(parameters) or every
-    if not parameters:
-        # What is zero in the file is taken to be absent, unless it is asked for.
-        names = tuple(n for n in names if np.any(np.asarray(getattr(machine.machine, n))))
-    return calibrate(
-        machine.plant(),
-        log.t,
-        log.u,
-        log.y,
-        where=lambda plant: tuple(getattr(plant, name) for name in names),
-        **settings,
+    if asked:
+        return tuple(asked)
+    # What is zero in the file is taken to be absent, unless it is asked for.
+    return tuple(n for n in every if np.any(np.asarray(getattr(machine.machine, n))))
+
+
+def _near(found: Calibration) -> Calibration:
+    """What was `found`, its intervals withdrawn where it is far from the file's values."""
+    far = [
+        name
+        for name, old in found.before.items()
+        if old and not 1.0 / FAR < found.estimate[name] / old < FAR
+    ]
+    if found.withdrawn or not any(found.determined(name) for name in far):
+        return found
+    nothing = dict.fromkeys(found.after, np.nan)
+    return dataclasses.replace(
+        found,
+        after=nothing,
+        interval=dict.fromkeys(found.interval, (np.nan, np.nan)),
+        withdrawn=f"values of {' and '.join(far)} more than {FAR:g} times off those of the "
+        "file, as a log in other units, or of another machine, does",
     )
 
 

@@ -1,5 +1,4 @@
-"""The gains of a study's file, tuned for the samples that the file describes, and its
-machine calibrated from a log before."""
+"""The gains of a study's file, tuned for the samples that the file describes."""
 
 import copy
 import dataclasses
@@ -16,15 +15,13 @@ from .. import random
 from .._experiment import Experiment
 from .._typing import Engine
 from ..engines import run_batch
-from ..logs import Log
 from ..machines import AbstractDescription, known_kind
 from ..schema._toml_text import table_of
 from ..study._config import Configuration, ConfigurationError, configure
 from ..study._possible import refuse_impossible
 from ..study._spread import Sampler
-from ..tune import Calibration, Fitted, fit
+from ..tune import Fitted, fit
 from ..tune.losses import MeanSquare
-from ._calibrated import calibrate_machine, values_of
 
 SPAN = 100.0  # bounds of a gain: that many times less and more than in the file
 CHANGE = 1.25  # of a value, to see which leaves of an experiment it becomes
@@ -37,6 +34,10 @@ class Tuned:
     - `before`, `after`: by key, in the units of the file;
     - `rms_before`, `rms_after`: the root of the mean square error over fresh samples, in
       the units of the estimate (divided by the file's `scale` where it has one);
+    - `less`: by which share of it the mean square error is less after than before, (low,
+      high) of its 95 % interval, from the differences sample by sample; NaN where a sample
+      is not finite;
+    - `improved`: whether that is beyond chance, so that the new gains are worth having;
     - `fitted`: how the search went.
     """
 
@@ -44,6 +45,8 @@ class Tuned:
     after: dict[str, float]
     rms_before: float
     rms_after: float
+    less: tuple[float, float]
+    improved: bool
     fitted: Fitted
 
 
@@ -87,33 +90,6 @@ def tune_study(
     return found
 
 
-def calibrate_study(
-    content: Mapping[str, Any], log: Log, **settings: Any
-) -> tuple[Calibration, dict[str, dict[str, Any]]]:
-    """Calibrate the machine of a study's file from a log without ground truth.
-
-    - `content`: of the file, table by table; `log`: of the machine;
-    - `settings`: of [`calibrate_machine`][].
-
-    Returns the calibration, and new values by table and key: those of `machine` that the
-    log determines, and the `deviation` of the file's first noise on the sensor (`sensor.0`,
-    say), which the calibration has found in the log.
-
-    **Raises:** [`MachineError`][] for a kind of machine that has no logs or no calibration.
-    """
-    description = machine_of(content)
-    found = calibrate_machine(description, log, **settings)
-    values: dict[str, dict[str, Any]] = {"machine": values_of(description, found)}
-    for k, disturbance in enumerate(content.get("sensor", ())):
-        if disturbance["kind"] == "noise":
-            noise = np.asarray(found.output_noise)
-            whole = not isinstance(disturbance["deviation"], list)
-            level = np.sqrt(np.mean(noise**2)) if whole else noise
-            values[f"sensor.{k}"] = {"deviation": _rounded(level)}
-            break
-    return found, values
-
-
 def machine_of(content: Mapping[str, Any]) -> AbstractDescription:
     """The machine of a study's file, its `content`, without what acts on it there, as
     [`aslo_jax.machines.read_machine`][] gives it.
@@ -125,10 +101,6 @@ def machine_of(content: Mapping[str, Any]) -> AbstractDescription:
     table: Any = kind.model_fields["machine"].annotation
     known = {k: v for k, v in machine.items() if k in table.model_fields}
     return kind.model_validate({"machine": known})
-
-
-def _rounded(x: Any) -> Any:
-    return np.vectorize(lambda v: float(f"{v:.7g}"))(x).tolist()
 
 
 def changed(
@@ -214,7 +186,7 @@ def _tuned(
     scale = 1.0 if configuration.scale is None else configuration.scale
     metrics = {"cost": MeanSquare(name, after, scale)}
 
-    def loss(gains: dict[str, Float[Array, ""]], at: Array) -> Float[Array, ""]:
+    def costs(gains: dict[str, Float[Array, ""]], at: Array) -> Float[Array, " samples"]:
         # Training samples at the key of the search, fresh ones at any other.
         first = jnp.all(at == key)
         batch = jax.tree.map(lambda a, b: jnp.where(first, a, b), *halves)
@@ -227,8 +199,9 @@ def _tuned(
             make, (batch, wide), configuration.steps, metrics=metrics, engine=engine,
             threads=threads,
         )  # fmt: skip
-        return jnp.mean(found.metrics["cost"])
+        return found.metrics["cost"]
 
+    loss = lambda gains, at: jnp.mean(costs(gains, at))
     before = {k: float(content["observers"][name][k]) for k in places}
     start = {k: jnp.asarray(v) for k, v in before.items()}
     fitted = fit(
@@ -240,15 +213,41 @@ def _tuned(
         iterations=iterations,
         mode="forward",
     )
-    fresh = random.fold(key, 1)
-    costs = jax.jit(loss)
+    fresh, judged = random.fold(key, 1), jax.jit(costs)
+    old, new = (np.asarray(judged(gains, fresh)) for gains in (start, fitted.tree))
+    less, improved = compared(old, new)
     return Tuned(
         before,
         {k: float(v) for k, v in zip(before, fitted.parameters, strict=True)},
-        float(jnp.sqrt(costs(start, fresh))),
-        float(jnp.sqrt(costs(fitted.tree, fresh))),
+        float(np.sqrt(np.mean(old))),
+        float(np.sqrt(np.mean(new))),
+        less,
+        improved,
         fitted,
     )
+
+
+def compared(
+    before: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]
+) -> tuple[tuple[float, float], bool]:
+    """The 95 % interval of the share by which the mean cost of the same `n` samples is less
+    `after` than `before`, and whether it is beyond chance.
+
+    Student's interval of the mean of paired differences. Samples that were not finite
+    before, and all are after, are an improvement whatever the numbers."""
+    import scipy.stats  # heavy to import, and needed here only
+
+    nothing = (np.nan, np.nan)
+    if not np.isfinite(after).all():
+        return nothing, False
+    if not np.isfinite(before).all():
+        return nothing, True
+    if before.size < 2 or not np.mean(before) > 0:
+        return nothing, False
+    less = (before - after) / np.mean(before)
+    half = scipy.stats.t.ppf(0.975, less.size - 1) * scipy.stats.sem(less)
+    low, high = float(np.mean(less) - half), float(np.mean(less) + half)
+    return (low, high), low > 0
 
 
 def _alone(configuration: Configuration, name: str) -> Experiment:

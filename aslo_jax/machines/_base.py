@@ -18,6 +18,7 @@ from ..logs import Log, Signals
 from ..observers import AbstractObserver, AlgebraicObserver, Asymptotic
 from ..plants import AbstractPlant
 from ..schema import Table, is_rate
+from ._keys import CalibrationTable
 from ._lifted import NO_EFFECT, is_lifted, no_effect
 from ._noise import Groups, Noise, white_noise
 from ._study import Study
@@ -119,6 +120,7 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
 
     machine: M
     observer: O
+    calibration: CalibrationTable = CalibrationTable()
 
     kind: ClassVar[str]
     title: ClassVar[str]
@@ -193,6 +195,16 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         """The positions that a log measures whose derivatives are estimated, by the column
         of the derivative; by default there are none."""
         del log
+        return {}
+
+    def operation(self, columns: Columns, log: Log) -> dict[str, float]:
+        """How a machine that turns was run in a log, told from its table of estimates:
+        `speed`, mean and mechanical (rad/s), `swing`, the amplitude of a sine with the same
+        variation of it (rad/s), and `torque`, what is left of the mean of that of its
+        currents after accelerating the rotor (N m); friction and load take that. The speed
+        is positive, the torque positive where it is in its direction. Empty by default, and
+        where too few rows are certified."""
+        del columns, log
         return {}
 
     def columns_of_log(self) -> Layout:

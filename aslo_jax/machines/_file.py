@@ -37,6 +37,9 @@ def template(kind: str) -> str:
     """An example of a description of the `kind`, as TOML with a comment for every key."""
     description = known_kind(kind, "Argument `kind` (option --kind)")
     tables: Any = _tables(description)
+    lines = template_lines(tables["calibration"], "# ")
+    head = ["", "# Of `aslo-jax calibrate`.", "# [calibration]"]
+    calibrated = [] if description.unknowns.refused else [*head, *lines]
     return "\n".join(
         [
             f"# {description.title}. All values in SI units.",
@@ -46,6 +49,7 @@ def template(kind: str) -> str:
             "# Every key is optional.",
             "[observer]",
             *template_lines(tables["observer"], "# "),
+            *calibrated,
             "",
         ]
     )
@@ -55,7 +59,9 @@ def _kind(path: Path, content: Mapping[str, Any]) -> Kind:
     machine = content.get("machine")
     if not isinstance(machine, dict):
         state = "is missing" if machine is None else "must be a table"
-        others = [name for name in content if name not in ("machine", "observer")]
+        others = [
+            name for name in content if name not in ("machine", "observer", "calibration")
+        ]
         raise MachineError(
             f"{path}: the table `[machine]` {state}; its first key is `kind`, one of "
             f"{choices(KINDS)}{hint('machine', others, ', where the file has `{}`')}."

@@ -2,7 +2,8 @@
 
 from typing import Any, Literal
 
-from ..schema import key
+from .._choices import RecordError
+from ..schema import Positive, Table, key
 
 Completion = Literal["least-squares", "repeat"]
 Start = Literal["exact", "paper"]
@@ -43,4 +44,17 @@ def pll_bandwidth() -> Any:
         "rad/s",
         default=None,
         example=100.0,
+    )
+
+
+class CalibrationTable(Table):
+    """`[calibration]`: what `aslo-jax calibrate` does where its options do not say."""
+
+    fit: list[RecordError] = key(
+        "errors of the record that are found as well", default=[], example=["offset"]
+    )
+    resolution: Positive = key(
+        "a parameter is determined where the half width of its interval is less than this "
+        "share of it",
+        default=0.01,
     )

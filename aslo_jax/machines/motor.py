@@ -31,6 +31,7 @@ from ._noise import white_noise
 from ._speed import cutoff_for, slow_speed, turning_acceleration, turning_speed, two_rates
 
 PLL_BANDWIDTH = 100.0  # rad/s, unless the log accelerates fast
+BLOCKS = 25  # of a log, whose mean speeds tell how the speed varies
 LAG = 0.3  # rad: what the angle of a loop may lag by at the acceleration of the log
 LONGEST_INTERVAL = 5e-3  # s: 200 Hz, or 200 kHz with time in milliseconds
 
@@ -242,6 +243,28 @@ class AbstractRoundMotor(AbstractDescription[M, MotorObserver], abc.ABC, Generic
         magnet = flux_of(columns) - self._values().inductance * log.y
         size = np.linalg.norm(magnet, axis=1)
         return {"flux": np.abs(size / float(self.plant().magnet_flux) - 1.0)}
+
+    def operation(self, columns: Columns, log: Log) -> dict[str, float]:
+        rows = columns["coasting"] == 0
+        plant, t = self.plant(), log.t[rows]
+        if t.size < 4 * BLOCKS:
+            return {}
+        angle = columns[ANGLE][rows] / plant.pole_pairs
+        # Of blocks, in which the noise of the angle is small beside its way.
+        edges = np.linspace(0, t.size - 1, BLOCKS + 1).astype(int)
+        speeds = np.diff(angle[edges]) / np.diff(t[edges])
+        middles = 0.5 * (t[edges][1:] + t[edges][:-1])
+        gained = (speeds[-1] - speeds[0]) / (middles[-1] - middles[0])
+        flux, current = flux_of(columns)[rows].T, log.y[rows].T
+        crossed = np.mean(flux[0] * current[1] - flux[1] * current[0])
+        torque = float(plant.torque_factor) * plant.pole_pairs * crossed
+        mean = (angle[-1] - angle[0]) / (t[-1] - t[0])
+        sign = -1.0 if mean < 0 else 1.0
+        return {
+            "speed": sign * float(mean),
+            "swing": float(np.sqrt(2.0) * np.std(speeds)),
+            "torque": sign * float(torque - float(plant.inertia) * gained),
+        }
 
     def _values(self) -> Any:
         return self.machine

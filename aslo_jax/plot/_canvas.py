@@ -107,7 +107,7 @@ def drawing(
     figure: Any,
     axes: Any,
     heights: Sequence[float],
-    columns: int = 1,
+    columns: int | Sequence[int] = 1,
     *,
     width: float,
     inch: float,
@@ -124,7 +124,8 @@ def drawing(
         raise ValueError(
             "Arguments `figure` and `axes` exclude each other; give the axes alone."
         )
-    count = places.get("count") or len(heights) * columns
+    across = [columns] * len(heights) if isinstance(columns, int) else columns
+    count = places.get("count") or sum(across)
     if axes is not None:
         panels = list(np.ravel(np.asarray(axes, object)))
         if len(panels) != count:

@@ -18,7 +18,7 @@ MARK = "\ufeff"  # which some editors put first
 def rewritten(text: str, values: Mapping[str, Mapping[str, Any]]) -> str:
     """A file with new `values`, by table (`"machine"`, `"observers.ASLO"`, and `"sensor.0"`
     for the first of an array of tables) and key: numbers, or lists of them. A key that its
-    table does not have yet becomes the first in it.
+    table does not have yet becomes the first in it, and may be a table itself.
 
     **Raises:** `ValueError` where a list stands on several lines, whose comments would be
     lost, and for a table that the file does not have."""
@@ -31,7 +31,7 @@ def rewritten(text: str, values: Mapping[str, Mapping[str, Any]]) -> str:
             if key in table:
                 _replace(table, name, key, value)
             else:
-                new.append((SingleKey(key), tomlkit.item(value)))
+                new.append((SingleKey(key), _item(value)))
         added.append((table, new))
         table_of(content, name).update(items)
     # Last, since what is put there directly is not found by its key.
@@ -50,6 +50,15 @@ def rewritten(text: str, values: Mapping[str, Mapping[str, Any]]) -> str:
             "these tables a header, `[name]`, and each key a line below it."
         )
     return mark + result
+
+
+def _item(value: Any) -> Item:
+    """A value of one line: a mapping is a table in braces."""
+    if not isinstance(value, Mapping):
+        return tomlkit.item(value)
+    found = tomlkit.inline_table()
+    found.update(value)
+    return found
 
 
 def _replace(table: Any, name: str, key: str, value: Any) -> None:

@@ -37,6 +37,7 @@ from .file import (
     ConfigurationError as ConfigurationError,
     configure as configure,
     read_configuration as read_configuration,
+    text_of as text_of,
 )
 
 __all__ = [
@@ -45,4 +46,5 @@ __all__ = [
     "ConfigurationError",
     "configure",
     "read_configuration",
+    "text_of",
 ]

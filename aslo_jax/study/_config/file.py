@@ -120,6 +120,24 @@ class Configuration:
         }
 
 
+def text_of(path: Path | str) -> str:
+    """The text of a study's file, valid TOML, or of the ready-made one of that name.
+
+    **Raises:** [`ConfigurationError`][] for text that is not TOML; `FileNotFoundError`
+    where there is neither a file nor a ready-made one.
+    """
+    name, path = str(path), Path(path)
+    if name in NAMES:
+        return (files("aslo_jax.study") / "configs" / f"{name}.toml").read_text("utf-8")
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{name} is neither a file nor a ready-made study; those are "
+            f"{', '.join(NAMES)}."
+        )
+    read_toml(path, ConfigurationError)
+    return path.read_text(encoding="utf-8")
+
+
 def read_configuration(path: Path | str) -> Configuration:
     """Read and check a study's TOML file, or the ready-made one of that name (`NAMES`).
 
@@ -127,17 +145,8 @@ def read_configuration(path: Path | str) -> Configuration:
     missing, unknown, out of range, or does not suit the machine; `FileNotFoundError` where
     there is neither a file nor a ready-made one.
     """
-    name, path = str(path), Path(path)
-    if name in NAMES:
-        text = (files("aslo_jax.study") / "configs" / f"{name}.toml").read_text("utf-8")
-        content = tomllib.loads(text)
-    elif path.is_file():
-        content = read_toml(path, ConfigurationError)
-    else:
-        raise FileNotFoundError(
-            f"{name} is neither a file nor a ready-made study; those are "
-            f"{', '.join(NAMES)}."
-        )
+    name, text = str(path), text_of(path)
+    content = tomllib.loads(text.removeprefix("\ufeff"))
     try:
         return configure(content)
     except ConfigurationError as error:

@@ -120,6 +120,7 @@ def calibrate(
         resolution=resolution,
         noise=search.noise(),
         disturbance=float(np.exp(search.levels[1])),
+        t=t[t.size - len(search.errors) :],
         errors=search.errors,
         rounds=done,
         settled=settled,

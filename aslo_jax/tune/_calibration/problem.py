@@ -28,6 +28,11 @@ from .predict import (
 )
 from .whiten import Signals
 
+
+class Unobservable(ValueError):
+    """A record that shows nothing of its states, so that it says nothing of parameters."""
+
+
 SLOPE = 20  # rows from which the first velocities of a mechanical system are guessed
 
 
@@ -162,7 +167,9 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
     observers = start.Observers(cutoff)
     sizes = tuple(term.z.shape[0] + rate for term, rate in zip(terms, rates, strict=True))
     form = Form(sizes=sizes, rates=rates, opened=opened)
-    estimates = [replay(o, t, u, y) for o in observers(parameters.model.model)]
+    begun = observers(parameters.model.model)
+    estimates = [replay(o, t, u, y) for o in begun]
+    _certified(estimates, begun, t)
     x = np.concatenate(
         [_states(e.value, y, r) for e, r in zip(estimates, rates, strict=True)], axis=1
     )
@@ -172,13 +179,9 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
     found = observers(recorded.model)
     _, u, y = (np.asarray(x) for x in recorded.imperfections(whole))
     estimates = [replay(o, t, u, y) for o in found]
-    weights = [
-        np.asarray(start.trusted(e, jnp.asarray(t), o))
-        for e, o in zip(estimates, found, strict=True)
-    ]
-    certified = np.all([w > 0 for w in weights], axis=0)
+    weights, certified = _certified(estimates, found, t)
     if certified.sum() < 0.1 * t.size:
-        raise ValueError(
+        raise Unobservable(
             "No calibration: the algebraic estimates are certified in "
             f"{100 * certified.mean():.2g} % of the rows of the log, but a tenth is "
             "needed; record a run in motion, or choose another `cutoff`."
@@ -199,6 +202,22 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
             constants.append([np.sum(w * gaps) / np.sum(w)])
     unknowns = np.concatenate([q, *first, *constants])
     return Problem(parameters, form, signals, unknowns, sum(sizes), tested)
+
+
+def _certified(estimates, observers, t):
+    """The weights of the rows of each estimate, and the rows that all of them certify."""
+    weights = [
+        np.asarray(start.trusted(e, jnp.asarray(t), o))
+        for e, o in zip(estimates, observers, strict=True)
+    ]
+    certified = np.all([w > 0 for w in weights], axis=0)
+    if not certified.any():
+        raise Unobservable(
+            f"No calibration: in {t[-1] - t[0]:.3g} s of the log no algebraic estimate is "
+            "certified for longer than two time constants of its filter; record a longer "
+            "run, in motion, or choose another `cutoff`."
+        )
+    return weights, certified
 
 
 def _states(value, y, rate):

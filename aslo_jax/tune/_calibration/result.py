@@ -65,6 +65,9 @@ class Calibration:
     - `profiles`: by name, `(values, deviance)`, each of shape `(n,)`: the least sum of
       squares over a parameter with all others free, above the least of all, in variances
       of the errors;
+    - `t` (s), `errors`: the instants and the prediction errors that are left, of each
+      relation or output, white and of unit size where the model is right, shapes `(r,)`
+      and `(r, g)`;
     - `rounds`: of the search; `reason`: why it stopped.
     """
 
@@ -82,6 +85,8 @@ class Calibration:
     drift_noise: Float[np.ndarray, " w"]
     correlation: float
     profiles: dict[str, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]
+    t: Float[np.ndarray, " r"]
+    errors: Float[np.ndarray, "r g"]
     rounds: int
     reason: str
 
@@ -141,6 +146,7 @@ def summed_up(
     resolution: float,
     noise: Noise,
     disturbance: float,
+    t: Float[np.ndarray, " N"],
     errors: Float[np.ndarray, "N g"],
     rounds: int,
     settled: bool,
@@ -209,6 +215,8 @@ def summed_up(
             n: (values(j, found.place), found.deviance)
             for j, (n, found) in enumerate(zip(names, profiles, strict=True))
         },
+        t=t,
+        errors=errors,
         rounds=rounds,
         reason=SETTLED if settled else UNSETTLED,
     )
