@@ -116,8 +116,8 @@ def replay(
 
     **Raises:** `ValueError` (or, under `jax.jit`, an error from `eqx.error_if`) for
     shapes that differ, a sample that is not finite where that is refused, time that does
-    not increase, a gap above `max_gap`, or the state of another observer; [`NotFusible`][] for an observer that the fused
-    engine cannot compile.
+    not increase, a gap above `max_gap`, or the state of another observer;
+    [`NotFusible`][] for an observer that the fused engine cannot compile.
     """
     one_of("engine", engine, _choices.Engine)
     kind("observer", observer, AbstractObserver, hint="an observer")
