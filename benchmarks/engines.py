@@ -283,10 +283,12 @@ def plot(figures: dict[str, Any], path: str) -> None:
         for k, (name, rows) in enumerate(sizes.items()):
             x, y = [r["lanes"] for r in rows], [1e6 * r["speed"] for r in rows]
             axes.loglog(x, y, "o-", label=name, color=color(k))
-        for r in figures["rows"]:
+        for k, r in enumerate(figures["rows"], len(sizes)):
             known = any(of_kind(r["engine"], name) for name in sizes)
             if not known and not r["noisy"] and r["threads"] == figures["threads"]:
-                axes.loglog(r["lanes"], 1e6 * r["speed"], "s", label=r["engine"])
+                axes.loglog(
+                    r["lanes"], 1e6 * r["speed"], "s", label=r["engine"], color=color(k)
+                )
         axes.set(xlabel="trajectories", ylabel="steps of a trajectory per second")
         axes.set_title(f"PMSM, ASLO and A-ASLO, {figures['threads']} threads")
         low, high = axes.get_ylim()
