@@ -271,27 +271,28 @@ def listed(values: dict[str, float], unit: str) -> str:
 
 def plot(figures: dict[str, Any], path: str) -> None:
     """Speed over the size of the batch, or the headline alone, both axes logarithmic."""
-    import matplotlib
-
-    matplotlib.use("agg")
-    import matplotlib.pyplot as plt
+    from aslo_jax.plot._canvas import Canvas, grid, styled
+    from aslo_jax.plot._style import color
 
     from .pmsm import of_kind
 
-    _, axes = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
-    sizes = figures["scaling"].get("sizes", {})
-    for name, rows in sizes.items():
-        x, y = [r["lanes"] for r in rows], [1e6 * r["speed"] for r in rows]
-        axes.loglog(x, y, "o-", label=name)
-    for r in figures["rows"]:
-        known = any(of_kind(r["engine"], name) for name in sizes)
-        if not known and not r["noisy"] and r["threads"] == figures["threads"]:
-            axes.loglog(r["lanes"], 1e6 * r["speed"], "s", label=r["engine"])
-    axes.set(xlabel="trajectories", ylabel="steps of a trajectory per second")
-    axes.set_title(f"PMSM, ASLO and A-ASLO, {figures['threads']} threads")
-    low, high = axes.get_ylim()
-    axes.set_ylim(10 ** math.floor(math.log10(low)), 10 ** math.ceil(math.log10(high)))
-    axes.grid(True, which="both", alpha=0.3)
-    axes.legend(fontsize="small")
-    plt.savefig(path, dpi=150)
-    plt.close()
+    with styled():
+        canvas = Canvas(6.4, 4.4)
+        ((axes,),) = grid(canvas, [1.0], left=0.9, top=0.4)
+        sizes = figures["scaling"].get("sizes", {})
+        for k, (name, rows) in enumerate(sizes.items()):
+            x, y = [r["lanes"] for r in rows], [1e6 * r["speed"] for r in rows]
+            axes.loglog(x, y, "o-", label=name, color=color(k))
+        for k, r in enumerate(figures["rows"], len(sizes)):
+            known = any(of_kind(r["engine"], name) for name in sizes)
+            if not known and not r["noisy"] and r["threads"] == figures["threads"]:
+                axes.loglog(
+                    r["lanes"], 1e6 * r["speed"], "s", label=r["engine"], color=color(k)
+                )
+        axes.set(xlabel="trajectories", ylabel="steps of a trajectory per second")
+        axes.set_title(f"PMSM, ASLO and A-ASLO, {figures['threads']} threads")
+        low, high = axes.get_ylim()
+        axes.set_ylim(10 ** math.floor(math.log10(low)), 10 ** math.ceil(math.log10(high)))
+        axes.grid(True, which="both", alpha=0.3)
+        axes.legend(fontsize="small")
+        canvas.savefig(path, dpi=150, bbox_inches="tight")

@@ -69,6 +69,10 @@ def test_panels_show_estimates_over_the_truth(tmp_path, monkeypatch, kind):
     (tmp_path / "machine.toml").write_text(template(kind))
     axes = draw(monkeypatch, tmp_path).axes
     assert len(axes) == len(PANELS[kind])
+    for axis in axes:  # a legend is beside its title
+        if axis.get_legend() is not None and axis.get_title(loc="left"):
+            legend = axis.get_legend().get_window_extent()
+            assert axis._left_title.get_window_extent().x1 < legend.x0, axis
     shown = set()
     with np.load(tmp_path / "out.npz") as table:
         data = log | dict(table)

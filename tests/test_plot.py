@@ -195,6 +195,10 @@ def test_bands_and_rankings_of_a_study():
     factor = 1.0 + 9.0 * np.exp(-5.0 * T)
     np.testing.assert_array_equal(drawn["Peer worst"][1], size[-1] * factor)
     np.testing.assert_allclose(drawn["Peer median"][1], size[19] * factor, rtol=0.006)
+    top = aslo.plot.bands(study).axes[1].get_ylim()[1]
+    assert (
+        study["error"].values[:, :, 1].max() < top
+    )  # its worst sample is within the frame
     alone = lines(aslo.plot.bands(BANDS, T, bound=np.full(T.size, 0.5)))
     np.testing.assert_array_equal(alone["ASLO median"][1], BANDS["ASLO"].median)
     np.testing.assert_array_equal(alone["bound"][1], 0.5)

@@ -83,7 +83,7 @@ class _Panels:
                 f"{_name(what)}, start of the log" if end == "start" else "End of the log"
             )
         row[-1].set_ylabel("")  # that of its neighbour
-        legend(row[-1])
+        legend(row[-1], handlelength=1.4, columnspacing=1.0)  # beside the title
 
     def wide(self, axes: Any, what: Any, labelled: bool) -> None:
         """The whole log."""
@@ -125,7 +125,7 @@ class _Panels:
         units = {measured_unit(name) for name in columns}
         (unit,) = units if len(units) == 1 else ("",)
         for k, (name, x) in enumerate(columns.items()):
-            label = with_unit(symbol(name), unit)
+            label = symbol(name)  # the axis has the unit
             # An input is held from its instant to the next.
             held = {"drawstyle": "steps-post"} if kind == "inputs" else {}
             axes.plot(view.t, x, label=label, gid=name, lw=1.0, **style(k), **held)
@@ -144,8 +144,9 @@ class _Panels:
         axes.set_yticks([-180.0, -90.0, 0.0, 90.0, 180.0])
 
     def _quantity(self, axes: Any, quantity: Quantity, view: Any) -> None:
+        several = len(quantity.columns) > 1  # the axis has their unit
         for k, name in enumerate(quantity.columns):
-            label = with_unit(symbol(name), quantity.unit)
+            label = with_unit(symbol(name), "" if several else quantity.unit)
             axes.plot(view.t, view.columns[name], label=label, gid=name, color=color(k))
             if name in view.truth:
                 last = name == quantity.columns[-1]

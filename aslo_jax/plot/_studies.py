@@ -59,7 +59,11 @@ def bands(
     if axes is not None:
         rows, columns = len(found), 1
     with drawing(figure, axes, [1.0] * rows, columns, of=of, **places) as (drawn, panels):
-        limits = _limits([x for band in found.values() for x in band[:3]])
+        shown = [x for band in found.values() for x in band[:3]]
+        # A sample that diverges does not flatten the bands.
+        top = 10.0 * max(np.nanmax(np.abs(x), initial=0.0) for x in map(_finite, shown))
+        shown += [np.where(x <= top, x, np.nan) for x in (b.worst for b in found.values())]
+        limits = _limits(shown)
         for k, (panel, name) in enumerate(zip(panels, found, strict=True)):
             band = found[name]
             for other in found:

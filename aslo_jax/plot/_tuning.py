@@ -187,8 +187,10 @@ def front(
         )
         for weight, point in zip(points.weights, points.costs, strict=True):
             text = f"w = {weight:.2g}"
-            panel.annotate(text, point, xytext=(6, 4), textcoords="offset points")
-        panel.margins(0.12)  # room for the weights
+            # On the side of lower costs, where neither line runs.
+            aside: Any = {"xytext": (-5, -3), "textcoords": "offset points"}
+            panel.annotate(text, point, ha="right", va="top", **aside)
+        panel.margins(0.15)  # room for the weights
         for axis in (panel.xaxis, panel.yaxis):
             _ticks.linear(axis, "")
         panel.set(xlabel=names[0], ylabel=names[1])
