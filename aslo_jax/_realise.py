@@ -48,24 +48,6 @@ def state_of(states: States, name: str) -> PyTree:
     return states[name]
 
 
-def check_states(states: States, begun: States) -> None:
-    """Refuse `states` of other names or shapes than those with which an observer begins."""
-    for name, first in begun.items():
-        shapes = [jax.tree.map(jnp.shape, x) for x in (first, state_of(states, name))]
-        structures = [jax.tree.structure(x) for x in (first, states[name])]
-        if shapes[0] != shapes[1] or structures[0] != structures[1]:
-            raise ValueError(
-                f"Argument `state` must be a state of this observer, whose `{name}` has "
-                f"the shape {shapes[0]}, but it holds {shapes[1]}; begin with `init`, or "
-                "restore the right one."
-            )
-    if others := sorted(set(states) - set(begun)):
-        raise ValueError(
-            f"Argument `state` must be a state of this observer, which has no {others}; "
-            "begin with `init`, or restore the right one."
-        )
-
-
 def _at(drive: Drive, X: PyTree) -> PyTree:
     return drive(X) if callable(drive) else drive
 

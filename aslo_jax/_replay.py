@@ -13,10 +13,9 @@ from jaxtyping import Array, ArrayLike
 from . import _choices
 from ._checked_log import Checked, checked_log
 from ._checks import is_concrete, kind, one_of
-from ._realise import check_states
 from ._typing import Engine, Missing, PyTree
 from .observers import AbstractObserver, Estimate, ObserverState
-from .observers._base import Est
+from .observers._base import Est, check_states
 from .observers._missing import either, finite, marked, zeros
 
 

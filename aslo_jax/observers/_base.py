@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from .._checks import kind, number, positive, unlike
 from .._filters import _Hold
 from .._module import Module
-from .._realise import Advance, Flow, Interval, Pass, Start, States, check_states
+from .._realise import Advance, Flow, Interval, Pass, Start, States, state_of
 from .._signals import check_signals
 from .._typing import PyTree
 from ._missing import DOUBT, Gap, either, marked, whole
@@ -322,6 +322,24 @@ def _kept(coefficients: PyTree, substeps: int) -> Any:
         return None
     slowest = functools.reduce(jnp.maximum, decays)
     return functools.reduce(lambda a, b: a * b, [slowest] * max(substeps, 1))
+
+
+def check_states(states: States, begun: States) -> None:
+    """Refuse `states` of other names or shapes than those with which an observer begins."""
+    for name, first in begun.items():
+        shapes = [jax.tree.map(jnp.shape, x) for x in (first, state_of(states, name))]
+        structures = [jax.tree.structure(x) for x in (first, states[name])]
+        if shapes[0] != shapes[1] or structures[0] != structures[1]:
+            raise ValueError(
+                f"Argument `state` must be a state of this observer, whose `{name}` has "
+                f"the shape {shapes[0]}, but it holds {shapes[1]}; begin with `init`, or "
+                "restore the right one."
+            )
+    if others := sorted(set(states) - set(begun)):
+        raise ValueError(
+            f"Argument `state` must be a state of this observer, which has no {others}; "
+            "begin with `init`, or restore the right one."
+        )
 
 
 def check_initial(initial: Array, x: Array) -> None:
