@@ -66,6 +66,19 @@ def test_what_does_not_tell_an_offset_is_refused():
         offset_of(log["t"], log["u"], log["i"], "mean")
 
 
+@pytest.mark.parametrize("name", ["servo", "crane"])
+@pytest.mark.parametrize("size", [0.05, 0.1, 0.2])
+def test_an_offset_as_large_as_what_steps_leave_is_refused(name, size):
+    """Steps of the current that keep pace with the turns move all means alike, by 5 % here;
+    an offset of that size does not make them surer."""
+    motor = BY_NAME[name]
+    log = recorded(motor, "steps")
+    for direction in (1.0, 1j, -1.0, -1j):
+        off = shifted(log, i=size * motor.current * direction)
+        with pytest.raises(LogError, match="too much to tell an offset"):
+            offset_of(off["t"], off["u"], off["i"], "periods")
+
+
 def test_outliers_and_missing_samples_count_nothing():
     log = spiked(shifted(recorded(SERVO), i=0.1), 2000, 100 * SERVO.current)
     log["u"][1000:1003] = np.nan

@@ -13,7 +13,8 @@ ROTATING = ("u_alpha", "u_beta", "i_alpha", "i_beta")
 Way = Literal["standstill", "periods"]
 TURNS = 4  # of the voltage under a window
 UNSURE = 0.3  # of an offset: means over periods that scatter by more tell nothing,
-LEAST = 5e-3  # unless it is less than this part of the signal
+LEAST = 5e-3  # unless it is less than this part of the signal,
+MOST = 0.02  # and those that scatter by more than this part may all be off alike
 REST = 64  # rows of a standstill, at least
 SMALL = 0.1  # of the largest voltage, and of the largest current: what a standstill has
 
@@ -96,7 +97,7 @@ def _of_periods(t, u, i) -> Offset:
     scatter = np.median(np.abs(means - middle), axis=0)
     for name, x, one, unsure in zip("ui", (u, i), middle, scatter, strict=True):
         size = np.sqrt(np.mean(np.abs(x) ** 2))
-        if unsure > max(UNSURE * abs(one), LEAST * size):
+        if unsure > max(min(UNSURE * abs(one), MOST * size), LEAST * size):
             raise LogError(
                 f"--remove-offset periods: the means of {name} over {TURNS} periods differ "
                 f"by {unsure:.3g} around {abs(one):.3g}, too much to tell an offset, since "
