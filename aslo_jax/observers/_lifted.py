@@ -15,7 +15,7 @@ from .._realise import Pass
 from .._relations import AbstractTerms, Quadratic
 from .._typing import PyTree
 from ._base import AbstractObserver, Estimate, check_initial
-from ._lifted_filter import LiftedBelief, LiftedKalman
+from ._lifted_filter import LiftedBelief, LiftedKalman, Run
 from ._lifting import added, entries, quadratic, rows_of, trace
 
 
@@ -46,6 +46,10 @@ class Lifted(AbstractObserver):
     `Q x - c`, the gradient of the relation, which for a motor is that of the angle of the
     magnet in squared radians; for others it is the largest variance of an entry of x beside
     that of the first belief. The default guard lets through what has an r below 1/9.
+
+    Over samples that are missing the covariance grows as if all that is held in their place
+    were wrong, in the same way over the whole hole; once x may be off by three times its
+    size, the filter begins again.
 
     Noise in the rows themselves looks like motion. A row is therefore taken to have stayed
     where it was until it has moved significantly: at rest a motor shows nothing of its
@@ -98,9 +102,14 @@ class Lifted(AbstractObserver):
         return super().vector_field(t, state, u, y)
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
-        law = self.law
+        rows, law = rows_of(self.relation, u, y), self.law
+        none = jnp.zeros((), rows[0].z.dtype)
+        hole = F.evolve(
+            Run(), none if F.certain else F.missing.astype(none.dtype), none, "hole"
+        )
+        if not F.certain:
+            law = law.blind(F.missing, hole, u, y)
         belief = F.evolve(law, (u, y), law.start(u, y), "belief")
-        rows = rows_of(self.relation, u, y)
         return self.judged(F, belief, rows)
 
     def judged(

@@ -1,9 +1,12 @@
 """The Kalman filter of a lifted relation, as a law that a state follows."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float
 
 from .._factored import (
     Rows,
@@ -42,9 +45,12 @@ from ._lifting import (
     noise_of,
     rows_of,
     scaled,
+    spread,
     squares,
     trace,
 )
+
+FAR = 3.0  # times its size: an x that may be off by so much is unknown
 
 
 class Stage(NamedTuple):
@@ -67,6 +73,20 @@ class Stage(NamedTuple):
     information: Float[Array, "k N"]
 
 
+class Run(AbstractLaw):
+    """How many samples in a row are missing, where the drive is 1 over an interval of which
+    one is and else 0."""
+
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
+        return jnp.zeros_like(X)
+
+    def discretise(self, h: Any) -> Any:
+        return h
+
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
+        return jnp.asarray(v1 * (X + 1.0), X.dtype)
+
+
 class LiftedKalman(AbstractLaw):
     """The belief, driven by `(u, y)`: sampled, a prediction over the interval with u held,
     and an update by every row at the y at its end; in continuous time Riccati's equation,
@@ -78,6 +98,7 @@ class LiftedKalman(AbstractLaw):
     prior: Float[Array, "*n"] | None
     initial: Float[Array, " n"] | None
     interval: Float[Array, ""] | None
+    missing: Bool[Array, ""] | None = None
 
     def start(self, u: PyTree, y: PyTree) -> LiftedBelief:
         """The first belief, with the first y."""
@@ -111,11 +132,37 @@ class LiftedKalman(AbstractLaw):
             return [1.0 / float(jnp.finfo(dtype).eps)] * n
         return entries(jnp.broadcast_to(self.prior**2, (n,)))
 
+    def blind(self, missing: Any, rows: Any, u: PyTree, y: PyTree) -> "LiftedKalman":
+        """As it is, or where a sample is `missing`, the last of so many `rows`, with
+        deviations of what is held in its place: all of it may be wrong, in the same way
+        over the whole hole, so that its deviation grows with the length, not the root."""
+        grown = jnp.sqrt(jnp.maximum(2.0 * rows - 1.0, 1.0))
+
+        def wide(deviation: PyTree, signal: PyTree, name: str) -> PyTree:
+            v, back = ravel_pytree(signal)
+            size = grown.astype(v.dtype) * jnp.linalg.norm(v)
+            own = spread(deviation, signal, name)
+            return back(jnp.where(missing, jnp.maximum(own, size), own))
+
+        return dataclasses.replace(
+            self,
+            missing=missing,
+            input_deviation=wide(self.input_deviation, u, "input"),
+            output_deviation=wide(self.output_deviation, y, "output"),
+        )
+
     def discretise(self, h: Any) -> Any:
         return h
 
     def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> Any:
-        return self.stage(X, v0, v1, coefficients)[0]
+        after = self.stage(X, v0, v1, coefficients)[0]
+        if self.missing is None:
+            return after
+        # Once x may be off by far more than it is large, nothing is known of it any more.
+        lists, begun = lists_of(after), self.start(*v1)
+        far = trace(_unit(len(lists.x)), lists.spread()) > FAR**2 * dot(lists.x, lists.x)
+        again = self.missing & far
+        return jax.tree.map(lambda a, b: jnp.where(again, a, b), begun, after)
 
     def stage(
         self, X: LiftedBelief, v0: PyTree, v1: PyTree, h: Any
