@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .information import Information, information
-from .problem import Problem
+from .problem import HELD, Problem
 from .profile import Profile, profile
 from .start import paired
 from .whiten import Gains, Noise, errors, kalman
@@ -64,6 +64,8 @@ class Search:
         """The curvature of what is known beforehand of every unknown that is free."""
         found = np.zeros(np.count_nonzero(self.free))
         found[: self.k] = PRIOR**-2
+        if self.problem.form.answers:
+            found[-1] = HELD**-2
         return found
 
     def round(self, v: Float[np.ndarray, " v"]) -> Round:
@@ -81,12 +83,16 @@ class Search:
         """Squares made least, with gains that are kept."""
         from scipy.optimize import least_squares  # heavy to import
 
-        known = np.eye(self.k, int(np.count_nonzero(self.free))) / PRIOR
+        weight = np.sqrt(self.prior)
+        home = np.zeros(weight.size)
+        home[: self.k] = PRIOR**2 * self.pull
+        if self.problem.form.answers:
+            home[-1] = HELD
+        known = np.diag(weight)[weight > 0]
 
         def evaluated(w):
             e, J = whitened(self.problem, self.whole(w, v), self.reference, gains)
-            beforehand = w[: self.k] / PRIOR - PRIOR * self.pull
-            rows = np.concatenate([np.ravel(e), beforehand])
+            rows = np.concatenate([np.ravel(e), known @ (w - home)])
             J = np.asarray(J)[..., self.free]
             return rows, np.concatenate([J.reshape(-1, w.size), known])
 
