@@ -1,5 +1,5 @@
-"""Every benchmark, or those named on the command line. `--quick`: a shorter `pmsm`, `tuning`
-and `calibration`; `--install`: environments for the `peers` that need their own."""
+"""Every benchmark, or those named on the command line. `--quick`: shorter ones of `pmsm`,
+`tuning` and `calibration`; `--install`: environments for `peers` that need their own."""
 
 import functools
 import sys

@@ -23,8 +23,8 @@ from . import results
 
 NAMES = ("resistance", "inductance", "magnet_flux")
 RECORDS = {"none": 216, "offset": 60, "dead_time": 60, "delay": 60}
-ROWS = 2000
-SETTLED = 100  # rows, after which the algebraic observer is used: one shape for all records
+ROWS = 1000
+SETTLED = 60  # rows, after which the algebraic observer is used: one shape for all records
 HELD = (0.90, 0.98)  # the share of intervals that hold, where the model is right
 
 

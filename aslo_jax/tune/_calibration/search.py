@@ -19,6 +19,7 @@ from .whiten import Gains, Noise, errors, kalman
 KICK = 0.02  # of the derivatives' rms, the first guess of what disturbs them
 PRIOR = 1.0  # standard deviation of the logarithm of a parameter: it keeps what the record
 # does not tell at home, and tells nothing against it
+FINE = 1e-6  # of the likelihood per row, to which noise levels are found
 LIKELY = 2.0  # of a log-likelihood, which falls by less between levels as good
 NEAR = 1e-3  # of a parameter, between two slopes of which one is taken
 FARTHEST = 1.5  # from the estimate, of a parameter's logarithm: no interval reaches there
@@ -121,9 +122,14 @@ class Search:
         return v
 
     def profiles(
-        self, v: Float[np.ndarray, " v"], known: Information, confidence: float
+        self,
+        v: Float[np.ndarray, " v"],
+        known: Information,
+        confidence: float,
+        resolution: float,
     ) -> list[Profile]:
-        """Of every parameter, about the unknowns `v` that a round has found."""
+        """Of every parameter, about the unknowns `v` that a round has found; an interval
+        that is no parabola and wider than `resolution`, relative, has no ends."""
         variance = float(np.mean(self.errors**2))
         inverse = np.linalg.pinv(known.curvature, hermitian=True) / variance
         doubt = np.abs(inverse) @ self.doubt
@@ -144,6 +150,7 @@ class Search:
                 functools.partial(inflation, j=j),
                 FARTHEST,
                 degrees,
+                resolution * (abs(v[j]) if self.problem.parameters.signed[j] else 1.05),
             )
 
         found = [profiled(j, 1) for j in range(self.k)]
@@ -172,7 +179,7 @@ class Search:
             jac=True,
             method="L-BFGS-B",
             bounds=[(-7.0, 7.0), (np.log(1e-8), np.log(3.0))],
-            options={"maxiter": 15},
+            options={"maxiter": 15, "ftol": FINE},
         )
         self.levels = found.x
         value, _, gains, _ = self._filtered(v, found.x)
