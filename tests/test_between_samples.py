@@ -38,7 +38,7 @@ def test_the_mean_of_a_current_over_an_interval(held):
     """To fourth order in the angle of an interval, where the chord has an error of second
     order, of the voltage's kind."""
     u, y, mean = signals(held)
-    relation = aslo.plants.PMSM(R, L, MAGNET, 4, 1e-4).flux_relation()
+    relation = aslo.plants.FluxRelation(R, L, MAGNET)
     h = jnp.full(ROWS - 1, INTERVAL)
 
     def bend(held):

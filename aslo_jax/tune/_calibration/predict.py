@@ -169,8 +169,13 @@ def answers(
     terms = jax.eval_shape(relation, u[0], y[0])
     if not (isinstance(terms, Quadratic) and terms.z.shape == y[0].shape == u[0].shape):
         return False
-    slopes = jax.vmap(jax.jacfwd(lambda y, u: relation(u, y).c))(y, u)
+    slopes = jax.vmap(jax.jacfwd(lambda y, u: _linear(relation, u, y)))(y, u)
     return bool(np.all(np.linalg.cond(np.asarray(slopes)) < REGULAR))
+
+
+def _linear(relation: Relation, u: Any, y: Any) -> Array:
+    terms: Any = relation(u, y)
+    return terms.c
 
 
 def answer(
@@ -183,7 +188,7 @@ def answer(
     relations that is the size of the jump."""
     terms: Any = relation(u, y)
     _, moved = jax.jvp(lambda u: relation(u, y).z, (u,), (jump,))
-    slope = jax.jacfwd(lambda y: relation(u, y).c)(y)
+    slope = jax.jacfwd(lambda y: _linear(relation, u, y))(y)
     return jnp.linalg.solve(slope, terms.times(moved))
 
 
