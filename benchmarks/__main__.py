@@ -1,11 +1,12 @@
-"""Every benchmark, or those named on the command line. `--quick`: a shorter `pmsm`;
-`--install`: environments for the `peers` that need their own."""
+"""Every benchmark, or those named on the command line. `--quick`: shorter ones of `pmsm`,
+`tuning` and `calibration`; `--install`: environments for `peers` that need their own."""
 
 import functools
 import sys
 
 from . import (
     ablation,
+    calibration,
     compile_time,
     felt,
     import_time,
@@ -31,6 +32,7 @@ BENCHMARKS = {
     "reversal": reversal.main,
     "switching": switching.main,
     "verdict": verdict.main,
+    "calibration": functools.partial(calibration.main, quick),
     "systems": systems.main,
     "ablation": ablation.main,
     "peers": functools.partial(peers.main, "--install" in sys.argv),

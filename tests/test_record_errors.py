@@ -2,6 +2,7 @@
 intervals where a parameter enters nonlinearly."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -132,12 +133,17 @@ def test_what_imperfections_do_to_signals():
     log = Signals(jnp.ones(39), jnp.asarray(u), jnp.asarray(y))
     none = perfect(MOTOR, log)
     assert all(np.array_equal(a, b) for a, b in zip(none(log), log, strict=True))
-    late = eqx.tree_at(lambda i: i.delay, none, jnp.asarray(1.25))(log).u
-    np.testing.assert_allclose(
-        late[:38], 0.75 * u[1:39] + 0.25 * np.r_[u[2:40]], rtol=1e-13
-    )
-    early = eqx.tree_at(lambda i: i.delay, none, jnp.asarray(-0.5))(log).u
-    np.testing.assert_allclose(early[1:], 0.5 * (u[1:] + u[:-1]), rtol=1e-13)
+    late = lambda delay, log: eqx.tree_at(lambda i: i.delay, none, jnp.asarray(delay))(log)
+    np.testing.assert_allclose(late(1.0, log).u[:-1], u[1:], rtol=1e-13)
+    np.testing.assert_allclose(late(-2.0, log).u[2:], u[:-2], rtol=1e-13)
+    # A fraction lies on a curve through the samples that has parabolas right, and no kink
+    # at whole samples, where a search would stay.
+    k = np.arange(40.0)[:, None] * np.ones(2)
+    for delay in (1.25, -0.5):
+        found = late(delay, log._replace(u=jnp.asarray(k**2))).u
+        np.testing.assert_allclose(found[3:-4], (k[3:-4] + delay) ** 2, rtol=1e-13)
+    slopes = [jax.jacfwd(lambda d: late(d, log).u[20])(x) for x in (1 - 1e-9, 1 + 1e-9)]
+    np.testing.assert_allclose(slopes[0], slopes[1], atol=1e-6)
     both = eqx.tree_at(
         lambda i: (i.gain, i.input_offset, i.output_offset),
         none,

@@ -113,7 +113,7 @@ def calibrate(
         problem=problem,
         v=v,
         known=known,
-        profiles=search.profiles(v, known, confidence),
+        profiles=search.profiles(v, known, confidence, resolution),
         findings=findings(search, tests),
         factor=factor,
         confidence=confidence,

@@ -6,7 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..._module import Module
@@ -23,6 +25,9 @@ from ...plants import (
 from .corrected import Corrected
 
 Relation = Callable[[Any, Any], AbstractTerms]
+
+
+REGULAR = 1e6  # of a condition number, at most
 
 
 class AbstractPrediction(Module):
@@ -52,6 +57,15 @@ class AbstractPrediction(Module):
         """x after `h` seconds, with u held, y on a line between two values, and
         `disturbance` added to the derivatives that it enters."""
 
+    @abc.abstractmethod
+    def bend(
+        self,
+        h: Float[Array, " N-1"],
+        u: Float[Array, "N m"],
+        y: Float[Array, "N p"],
+    ) -> Float[Array, "N-1 p"]:
+        """The mean of y over every interval of a log less that of its two ends."""
+
     @property
     @abc.abstractmethod
     def disturbed(self) -> tuple[int, ...]:
@@ -65,11 +79,14 @@ class RelationPrediction(AbstractPrediction):
     less its own prediction, which is one more state: nothing is differentiated.
 
     - `constants`: of each relation, what its d is wrong by, shape `(relations,)`;
-    - `sizes`: of the states of each; `rates`: whether it is a rate relation.
+    - `sizes`: of the states of each; `rates`: whether it is a rate relation;
+    - `held`: one where the inputs are held between the samples, zero where they vary as
+      smoothly as the outputs do; `None` where it says nothing of the outputs.
     """
 
     relations: tuple[Relation, ...]
     constants: Float[Array, " relations"]
+    held: Float[Array, ""] | None
     sizes: tuple[int, ...] = eqx.field(static=True)
     rates: tuple[bool, ...] = eqx.field(static=True)
 
@@ -118,6 +135,24 @@ class RelationPrediction(AbstractPrediction):
                 found.append(residual(terms, part)[0] - constant)
         return jnp.stack(found)
 
+    def bend(self, h: RealArray, u: RealArray, y: RealArray) -> RealArray:
+        # A parabola of curvature y'' has -h^2 y''/12 more in the mean than its chord. With
+        # smooth inputs y'' is that of the samples. An input that is held lacks its slope,
+        # and y'' what that makes: of a motor u'/L.
+        def turn(x):
+            ends = jnp.concatenate([x[:1], x, x[-1:]])
+            return ends[2:] - ends[:-2]
+
+        width = jnp.concatenate([h[:1], h, h[-1:]])
+        width = (0.5 * (width[2:] + width[:-2]) + width[1:-1])[:, None]
+        h = h[:, None]
+        curvature = turn((y[1:] - y[:-1]) / h) / width
+        if self.held is not None:
+            jump = turn(u[:-1]) / width
+            answering = jax.vmap(lambda u, y, du: answer(self.relations[0], u, y, du))
+            curvature = curvature - self.held * answering(u[:-1], y[:-1], jump)
+        return -(h**2) * curvature / 12.0
+
     @property
     def disturbed(self) -> tuple[int, ...]:
         entries, start = [], 0
@@ -125,6 +160,36 @@ class RelationPrediction(AbstractPrediction):
             entries += range(start, start + size - rate)
             start += size
         return tuple(entries)
+
+
+def answers(
+    relation: Relation, u: Float[np.ndarray, "N m"], y: Float[np.ndarray, "N p"]
+) -> bool:
+    """Whether the derivatives of the outputs follow the inputs of a log at once."""
+    terms = jax.eval_shape(relation, u[0], y[0])
+    if not (isinstance(terms, Quadratic) and terms.z.shape == y[0].shape == u[0].shape):
+        return False
+    slopes = jax.vmap(jax.jacfwd(lambda y, u: _linear(relation, u, y)))(y, u)
+    return bool(np.all(np.linalg.cond(np.asarray(slopes)) < REGULAR))
+
+
+def _linear(relation: Relation, u: Any, y: Any) -> Array:
+    terms: Any = relation(u, y)
+    return terms.c
+
+
+def answer(
+    relation: Relation, u: Float[Array, " n"], y: Float[Array, " n"], jump: RealArray
+) -> Float[Array, " n"]:
+    """By how much y' jumps where u jumps (their units).
+
+    With `1/2 x'Q x = c'x + d`, of a motor `Q x - c` is the flux of its magnet over its
+    inductance, which goes on as before, so that `(dc/dy) y'` jumps as `Q z` does. Of other
+    relations that is the size of the jump."""
+    terms: Any = relation(u, y)
+    _, moved = jax.jvp(lambda u: relation(u, y).z, (u,), (jump,))
+    slope = jax.jacfwd(lambda y: _linear(relation, u, y))(y)
+    return jnp.linalg.solve(slope, terms.times(moved))
 
 
 def residual(terms: Any, x: Float[Array, " n"]) -> tuple[Array, Array]:
@@ -165,6 +230,10 @@ class NewtonPrediction(AbstractPrediction):
     def gap(self, x: RealArray, u: RealArray, y: RealArray) -> RealArray:
         del u
         return y - x[: self.coordinates]
+
+    def bend(self, h: RealArray, u: RealArray, y: RealArray) -> RealArray:
+        del h, u
+        return jnp.zeros_like(y[1:])  # the measured y does not enter the derivatives
 
     @property
     def disturbed(self) -> tuple[int, ...]:

@@ -22,18 +22,19 @@ from .predict import (
     AbstractPrediction,
     NewtonPrediction,
     RelationPrediction,
+    answers,
     open_constant,
     relations_of,
     residual,
 )
 from .whiten import Signals
 
+HELD = 0.5  # of inputs, as far as one knows, and how unsure that is: held or smooth
+SLOPE = 20  # rows from which the first velocities of a mechanical system are guessed
+
 
 class Unobservable(ValueError):
     """A record that shows nothing of its states, so that it says nothing of parameters."""
-
-
-SLOPE = 20  # rows from which the first velocities of a mechanical system are guessed
 
 
 Vector = Array | np.ndarray
@@ -42,27 +43,32 @@ Vector = Array | np.ndarray
 class Form(Module):
     """How a model predicts: a mechanical system, or relations with what is known of them.
 
-    - `sizes`, `rates`: as in [`RelationPrediction`][]; `opened`: which constants are free.
+    - `sizes`, `rates`: as in [`RelationPrediction`][]; `opened`: which constants are free;
+    - `answers`: whether outputs answer a held input at once, so that it bends them.
     """
 
     coordinates: int = eqx.field(static=True, default=0)
     sizes: tuple[int, ...] = eqx.field(static=True, default=())
     rates: tuple[bool, ...] = eqx.field(static=True, default=())
     opened: tuple[bool, ...] = eqx.field(static=True, default=())
+    answers: bool = eqx.field(static=True, default=False)
 
-    def prediction(self, model: Any, constants: Vector) -> AbstractPrediction:
-        """Of the `model`, with the values of its free constants."""
+    def prediction(self, model: Any, rest: Vector) -> AbstractPrediction:
+        """Of the `model`, with the values of its free constants, and, where the outputs
+        answer at once, of how far the inputs are held."""
         if self.coordinates:
             return NewtonPrediction(model, self.coordinates)
         relations = relations_of(model)
         assert relations is not None
         free = np.flatnonzero(self.opened)
-        every = jnp.zeros(len(relations)).at[free].set(constants)
-        return RelationPrediction(relations, every, self.sizes, self.rates)
+        every = jnp.zeros(len(relations)).at[free].set(rest[: free.size])
+        held = jnp.asarray(rest)[-1] if self.answers else None
+        return RelationPrediction(relations, every, held, self.sizes, self.rates)
 
 
 class Problem(Module):
-    """The unknowns are the parameters `q`, the first states, and the free constants.
+    """The unknowns are the parameters `q`, the first states, the free constants, and,
+    where the form `answers`, how far the inputs are held.
 
     `unknowns` is where they start, one vector in this order. The last `tested` parameters
     stay there: of them only slopes are asked for.
@@ -82,16 +88,16 @@ class Problem(Module):
 
     def split(self, v: Vector) -> tuple[Any, Vector, Vector]:
         """The model and the errors of the record ([`Recorded`][]), the first states and the
-        constants of a vector of unknowns."""
+        rest of a vector of unknowns."""
         k = len(self.parameters.names)
         return self.parameters.place(v[:k]), v[k : k + self.states], v[k + self.states :]
 
     def prediction(self, v: Vector) -> tuple[AbstractPrediction, Any, Signals]:
         """What is predicted with the unknowns `v`, from which states on, and of which
         signals."""
-        recorded, x0, constants = self.split(v)
+        recorded, x0, rest = self.split(v)
         signals = recorded.imperfections(self.signals)
-        return self.form.prediction(recorded.model, constants), x0, signals
+        return self.form.prediction(recorded.model, rest), x0, signals
 
     def drift(self) -> Float[np.ndarray, "N n"]:
         """The derivatives of the states at their start (their units per second)."""
@@ -166,14 +172,18 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
         cutoff = start.typical_cutoff(relations, whole)
     observers = start.Observers(cutoff)
     sizes = tuple(term.z.shape[0] + rate for term, rate in zip(terms, rates, strict=True))
-    form = Form(sizes=sizes, rates=rates, opened=opened)
+    at_once = len(relations) == 1 and answers(relations[0], u, y)
+    form = Form(sizes=sizes, rates=rates, opened=opened, answers=at_once)
+    held = np.full(int(at_once), HELD)
     begun = observers(parameters.model.model)
     estimates = [replay(o, t, u, y) for o in begun]
     _certified(estimates, begun, t)
     x = np.concatenate(
         [_states(e.value, y, r) for e, r in zip(estimates, rates, strict=True)], axis=1
     )
-    parameters = _scaled(parameters, form, whole, x, np.zeros(sum(opened)), scale)
+    parameters = _scaled(
+        parameters, form, whole, x, np.zeros(sum(opened) + held.size), scale
+    )
     q = start.first_guess(parameters, observers, t, whole, opened, tested)
     recorded = parameters.place(q)
     found = observers(recorded.model)
@@ -200,7 +210,7 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
             gap = jax.vmap(lambda x, u, y, r=relation: residual(r(u, y), x)[0])
             gaps = np.asarray(gap(estimate.value, u, y))
             constants.append([np.sum(w * gaps) / np.sum(w)])
-    unknowns = np.concatenate([q, *first, *constants])
+    unknowns = np.concatenate([q, *first, *constants, held])
     return Problem(parameters, form, signals, unknowns, sum(sizes), tested)
 
 

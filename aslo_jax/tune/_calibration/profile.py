@@ -47,6 +47,7 @@ def profile(
     inflation: Callable[[Float[np.ndarray, " v"]], float],
     farthest: float,
     degrees: int,
+    enough: float = np.inf,
 ) -> Profile:
     """The profile over unknown `j` about the `best` unknowns.
 
@@ -58,7 +59,9 @@ def profile(
     - `farthest`: the distance from `best` at which the search gives up;
     - `degrees`: of freedom of the deviance of the true value: one, where the ends for all
       parameters are as the curvature says. Where one's is not, first and second order in it
-      say about as much, and the deviance has at most the distribution for two.
+      say about as much, and the deviance has at most the distribution for two;
+    - `enough`: where the interval is no parabola, the distance from which on it is too wide
+      to matter: where it reaches there, no end is looked for.
     """
     import scipy.stats  # heavy to import, and needed here only
 
@@ -69,7 +72,7 @@ def profile(
     ends = [walk.near(side, width, limit, farthest) for side in sides]
     parabolic = bool(np.isfinite(ends).all())
     if not parabolic and width < farthest:
-        paths = [walk.path(side, width, two * inflated, farthest) for side in sides]
+        paths = [walk.path(side, width, two * inflated, farthest, enough) for side in sides]
         within = [v for path in paths for _, d, v in path if d < two * inflated]
         limit = two * max([inflated, *(inflation(v) for v in within)])
         ends = [_crossing(float(best[j]), path, limit) for path in paths]
@@ -135,7 +138,9 @@ class _Walk:
             return np.nan
         return middle + side * width * float(np.sqrt(limit / deviance))
 
-    def path(self, side: float, width: float, limit: float, farthest: float) -> list[tuple]:
+    def path(
+        self, side: float, width: float, limit: float, farthest: float, enough: float
+    ) -> list[tuple]:
         """Places, deviances and unknowns, step by step outwards: a hill may hide another
         valley, so that one walks on for a while above the limit."""
         middle, v, found = float(self.best[self.j]), self.best, []
@@ -145,6 +150,8 @@ class _Walk:
                 break
             deviance, v = self._at(there, v)
             found.append((there, deviance, v))
+            if abs(there - middle) > enough and deviance < limit:
+                break
             high = 4.0 if step < 3 * STEPS else 1.0
             if deviance > high * limit and step >= STEPS:
                 break

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .information import Information, information
-from .problem import Problem
+from .problem import HELD, Problem
 from .profile import Profile, profile
 from .start import paired
 from .whiten import Gains, Noise, errors, kalman
@@ -19,6 +19,7 @@ from .whiten import Gains, Noise, errors, kalman
 KICK = 0.02  # of the derivatives' rms, the first guess of what disturbs them
 PRIOR = 1.0  # standard deviation of the logarithm of a parameter: it keeps what the record
 # does not tell at home, and tells nothing against it
+FINE = 1e-6  # of the likelihood per row, to which noise levels are found
 LIKELY = 2.0  # of a log-likelihood, which falls by less between levels as good
 NEAR = 1e-3  # of a parameter, between two slopes of which one is taken
 FARTHEST = 1.5  # from the estimate, of a parameter's logarithm: no interval reaches there
@@ -64,6 +65,8 @@ class Search:
         """The curvature of what is known beforehand of every unknown that is free."""
         found = np.zeros(np.count_nonzero(self.free))
         found[: self.k] = PRIOR**-2
+        if self.problem.form.answers:
+            found[-1] = HELD**-2
         return found
 
     def round(self, v: Float[np.ndarray, " v"]) -> Round:
@@ -81,12 +84,16 @@ class Search:
         """Squares made least, with gains that are kept."""
         from scipy.optimize import least_squares  # heavy to import
 
-        known = np.eye(self.k, int(np.count_nonzero(self.free))) / PRIOR
+        weight = np.sqrt(self.prior)
+        home = np.zeros(weight.size)
+        home[: self.k] = PRIOR**2 * self.pull
+        if self.problem.form.answers:
+            home[-1] = HELD
+        known = np.diag(weight)[weight > 0]
 
         def evaluated(w):
             e, J = whitened(self.problem, self.whole(w, v), self.reference, gains)
-            beforehand = w[: self.k] / PRIOR - PRIOR * self.pull
-            rows = np.concatenate([np.ravel(e), beforehand])
+            rows = np.concatenate([np.ravel(e), known @ (w - home)])
             J = np.asarray(J)[..., self.free]
             return rows, np.concatenate([J.reshape(-1, w.size), known])
 
@@ -115,9 +122,14 @@ class Search:
         return v
 
     def profiles(
-        self, v: Float[np.ndarray, " v"], known: Information, confidence: float
+        self,
+        v: Float[np.ndarray, " v"],
+        known: Information,
+        confidence: float,
+        resolution: float,
     ) -> list[Profile]:
-        """Of every parameter, about the unknowns `v` that a round has found."""
+        """Of every parameter, about the unknowns `v` that a round has found; an interval
+        that is no parabola and wider than `resolution`, relative, has no ends."""
         variance = float(np.mean(self.errors**2))
         inverse = np.linalg.pinv(known.curvature, hermitian=True) / variance
         doubt = np.abs(inverse) @ self.doubt
@@ -138,6 +150,7 @@ class Search:
                 functools.partial(inflation, j=j),
                 FARTHEST,
                 degrees,
+                resolution * (abs(v[j]) if self.problem.parameters.signed[j] else 1.05),
             )
 
         found = [profiled(j, 1) for j in range(self.k)]
@@ -166,7 +179,7 @@ class Search:
             jac=True,
             method="L-BFGS-B",
             bounds=[(-7.0, 7.0), (np.log(1e-8), np.log(3.0))],
-            options={"maxiter": 15},
+            options={"maxiter": 15, "ftol": FINE},
         )
         self.levels = found.x
         value, _, gains, _ = self._filtered(v, found.x)

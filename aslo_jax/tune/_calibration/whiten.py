@@ -39,10 +39,11 @@ class Gains(NamedTuple):
     whiten: Float[Array, "N g g"]
 
 
-def _predict(prediction, s, n1, w, u, y0, y1, h):
+def _predict(prediction, s, n1, w, u, y0, y1, h, bend):
     p = y0.shape[0]
     x, n0 = s[:-p], s[-p:]
-    return jnp.concatenate([prediction.step(x, w, u, (y0 - n0, y1 - n1), h), n1])
+    ends = (y0 - n0 + bend, y1 - n1 + bend)
+    return jnp.concatenate([prediction.step(x, w, u, ends, h), n1])
 
 
 def _inverse_root(S: Float[Array, "g g"]) -> Float[Array, "g g"]:
@@ -95,8 +96,8 @@ def kalman(
 
     def body(carry, sample):
         s, P = carry
-        h, u, y0, y1 = sample
-        law = lambda s, n, w: _predict(prediction, s, n, w, u, y0, y1, h)
+        h, u, y0, y1, bend = sample
+        law = lambda s, n, w: _predict(prediction, s, n, w, u, y0, y1, h, bend)
         A, B, C = jax.jacfwd(law, (0, 1, 2))(s, n0, w)
         Bn, Cn = B * noise.output, C * noise.drift
         P = A @ P @ A.T + Bn @ Bn.T + Cn @ Cn.T
@@ -106,7 +107,8 @@ def kalman(
     s = jnp.concatenate([x0, n0])
     B = jnp.concatenate([jnp.zeros((x0.size, p)), jnp.eye(p)])
     s, P, first, cost = update(s, (B * noise.output) @ (B * noise.output).T, u[0], y[0], B)
-    _, (gains, costs) = jax.lax.scan(body, (s, P), (h, u[:-1], y[:-1], y[1:]))
+    rows = (h, u[:-1], y[:-1], y[1:], prediction.bend(h, u, y))
+    _, (gains, costs) = jax.lax.scan(body, (s, P), rows)
     gains = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, gains)
     cost, size = cost + jnp.sum(costs, axis=0)
     return gains, cost / y.shape[0], size
@@ -130,12 +132,13 @@ def errors(
         return s - gains.gain @ e, gains.whiten @ e
 
     def body(s, sample):
-        h, u, y0, y1, gains = sample
-        law = lambda n: _predict(prediction, s, n, w, u, y0, y1, h)
+        h, u, y0, y1, bend, gains = sample
+        law = lambda n: _predict(prediction, s, n, w, u, y0, y1, h, bend)
         return update(law(n0), u, y1, gains, jax.jacfwd(law)(n0))
 
     B = jnp.concatenate([jnp.zeros((x0.size, p)), jnp.eye(p)])
     first, rest = jax.tree.map(lambda a: a[0], gains), jax.tree.map(lambda a: a[1:], gains)
     s, e0 = update(jnp.concatenate([x0, n0]), u[0], y[0], first, B)
-    _, later = jax.lax.scan(body, s, (h, u[:-1], y[:-1], y[1:], rest))
+    rows = (h, u[:-1], y[:-1], y[1:], prediction.bend(h, u, y), rest)
+    _, later = jax.lax.scan(body, s, rows)
     return jnp.concatenate([e0[None], later])
