@@ -33,6 +33,7 @@ class Unobservable(ValueError):
     """A record that shows nothing of its states, so that it says nothing of parameters."""
 
 
+STEP, PARTS = 0.25, 32  # of a time constant, of the solver at most; and steps at most
 SLOPE = 20  # rows from which the first velocities of a mechanical system are guessed
 
 
@@ -42,10 +43,12 @@ Vector = Array | np.ndarray
 class Form(Module):
     """How a model predicts: a mechanical system, or relations with what is known of them.
 
-    - `sizes`, `rates`: as in [`RelationPrediction`][]; `opened`: which constants are free.
+    - `sizes`, `rates`: as in [`RelationPrediction`][]; `opened`: which constants are free;
+    - `parts`: as in [`NewtonPrediction`][].
     """
 
     coordinates: int = eqx.field(static=True, default=0)
+    parts: int = eqx.field(static=True, default=1)
     sizes: tuple[int, ...] = eqx.field(static=True, default=())
     rates: tuple[bool, ...] = eqx.field(static=True, default=())
     opened: tuple[bool, ...] = eqx.field(static=True, default=())
@@ -53,7 +56,7 @@ class Form(Module):
     def prediction(self, model: Any, constants: Vector) -> AbstractPrediction:
         """Of the `model`, with the values of its free constants."""
         if self.coordinates:
-            return NewtonPrediction(model, self.coordinates)
+            return NewtonPrediction(model, self.coordinates, self.parts)
         relations = relations_of(model)
         assert relations is not None
         free = np.flatnonzero(self.opened)
@@ -148,10 +151,21 @@ def _mechanical(parameters, t, u, y, scale, tested):
     signals = Signals(np.diff(t), u, y)
     n = y.shape[1]
     x = np.concatenate([y, np.gradient(y, t, axis=0)], axis=1)
-    form = Form(coordinates=n)
+    form = Form(coordinates=n, parts=_parts(system, signals, np.concatenate([y[0], slope])))
     parameters = _scaled(parameters, form, signals, x, np.zeros(0), scale)
     unknowns = np.concatenate([np.zeros(len(parameters.names)), y[0], slope])
     return Problem(parameters, form, signals, unknowns, 2 * n, tested)
+
+
+def _parts(system, signals, x):
+    """How many steps an interval takes whose error is that of a decay in steps of at most a
+    quarter of its time constant, twice as fast as at the start."""
+    h, u, _ = signals
+    n = x.size // 2
+    field = lambda x: system.acceleration(x[:n], x[n:], jnp.asarray(u[0]))
+    slopes = np.asarray(jax.jacfwd(field)(jnp.asarray(x)))
+    fastest = float(np.max(np.abs(np.linalg.eigvals(slopes[:, n:]))))
+    return int(np.clip(np.ceil(fastest * float(np.quantile(h, 0.99)) / STEP), 1, PARTS))
 
 
 def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
