@@ -101,6 +101,17 @@ class Problem(Module):
         return np.asarray(_drift(self, self.unknowns))
 
 
+# What runs once is compiled as a whole: operation by operation XLA makes a program of each.
+@eqx.filter_jit
+def _corrected(recorded, signals):
+    return recorded.imperfections(signals)
+
+
+@eqx.filter_jit
+def _gaps(relation, x, u, y):
+    return jax.vmap(lambda x, u, y: residual(relation(u, y), x)[0])(x, u, y)
+
+
 @eqx.filter_jit
 def _drift(problem, v):
     prediction, x0, signals = problem.prediction(v)
@@ -191,7 +202,7 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
     q = start.first_guess(parameters, observers, t, whole, opened, tested)
     recorded = parameters.place(q)
     found = observers(recorded.model)
-    _, u, y = (np.asarray(x) for x in recorded.imperfections(whole))
+    _, u, y = (np.asarray(x) for x in _corrected(recorded, whole))
     estimates = [replay(o, t, u, y) for o in found]
     weights, certified = _certified(estimates, found, t)
     if certified.sum() < 0.1 * t.size:
@@ -211,8 +222,7 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
             terms_there: Any = relation(u[k], y[k])
             first.append(np.asarray(terms_there.s)[None])
         if is_open:
-            gap = jax.vmap(lambda x, u, y, r=relation: residual(r(u, y), x)[0])
-            gaps = np.asarray(gap(estimate.value, u, y))
+            gaps = np.asarray(_gaps(relation, estimate.value, u, y))
             constants.append([np.sum(w * gaps) / np.sum(w)])
     unknowns = np.concatenate([q, *first, *constants])
     return Problem(parameters, form, signals, unknowns, sum(sizes), tested)
@@ -264,6 +274,9 @@ def _scaled(
     for its offset, or else what makes the derivatives of the states as large again."""
     size = parameters.scale.copy()
     unit = dataclasses.replace(parameters, scale=np.ones_like(size))
+    known = sizes_of(signals)
+    for j in np.flatnonzero(size == 0):
+        size[j] = known.get(parameters.names[j].partition("[")[0], 0.0)
     if (size == 0).any():
 
         def drift(q, x, u, y):
@@ -273,12 +286,7 @@ def _scaled(
         each = jax.vmap(drift, (None, 0, 0, 0))(zero, x, signals.u, signals.y)
         slopes = jax.vmap(jax.jacfwd(drift), (None, 0, 0, 0))(zero, x, signals.u, signals.y)
         each, slopes = np.asarray(each), np.asarray(slopes)
-        known = sizes_of(signals)
         for j in np.flatnonzero(size == 0):
-            field = parameters.names[j].partition("[")[0]
-            if field in known:
-                size[j] = known[field]
-                continue
             entries = np.any(slopes[:, :, j] != 0, axis=0)
             moved = np.sqrt(np.mean(slopes[:, entries, j] ** 2)) if entries.any() else 0.0
             size[j] = np.sqrt(np.mean(each[:, entries] ** 2)) / moved if moved else 1.0
