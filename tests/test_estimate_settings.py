@@ -15,6 +15,7 @@ from aslo_jax.machines import KINDS, MachineError, read_machine, template
 from aslo_jax.plants import (
     WRIM,
     BallBeam,
+    Drive,
     InteriorPMSM,
     MagneticBearing,
     RoboticLeg,
@@ -33,6 +34,7 @@ PRESETS = {
     ),
     "robotic_leg": lambda: RoboticLeg(2.0, 3.0),
     "ball_beam": lambda: BallBeam(1.2, 9.81),
+    "drive": lambda: Drive(400.0, 20e3),
     "mechanical": lambda: VariableLengthPendulum(1.3),
 }
 ROBOT = """\
@@ -247,7 +249,7 @@ FAULTS = {
         ('"wrim"', '"steper"'),
         '`machine.kind`, the kind of machine, must be one of "pmsm", "stepper", '
         '"interior_pmsm", "wrim", "magnetic_bearing", "robotic_leg", "ball_beam", '
-        "\"mechanical\", but is 'steper'; did you mean `stepper`?",
+        '"drive", "mechanical", but is \'steper\'; did you mean `stepper`?',
     ),
 }
 

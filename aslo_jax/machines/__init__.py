@@ -2,7 +2,7 @@
 
 [machine]
 kind = "pmsm"           # or "stepper", "interior_pmsm", "wrim", "magnetic_bearing",
-                        # "robotic_leg", "ball_beam", "mechanical"
+                        # "robotic_leg", "ball_beam", "drive", "mechanical"
 resistance = 8.875      # ohm
 inductance = 40.03e-3   # H
 magnet_flux = 0.2086    # Wb
@@ -27,6 +27,7 @@ from ._base import (
     Rate as Rate,
     Unknowns as Unknowns,
 )
+from ._drive import DriveDescription as DriveDescription
 from ._file import read_machine as read_machine, template as template
 from ._frequency import (
     cutoff_for_positions as cutoff_for_positions,
@@ -47,6 +48,7 @@ __all__ = [
     "KINDS",
     "AbstractDescription",
     "BallBeamDescription",
+    "DriveDescription",
     "InteriorPMSMDescription",
     "Layout",
     "MachineError",

@@ -4,6 +4,7 @@ from ..schema import choices, hint
 from ._ball_beam import BallBeamDescription
 from ._base import AbstractDescription, MachineError
 from ._double_integrator import STUDY as DOUBLE_INTEGRATOR
+from ._drive import DriveDescription
 from ._interior_pmsm import InteriorPMSMDescription
 from ._magnetic_bearing import MagneticBearingDescription
 from ._mechanical import MechanicalDescription
@@ -25,6 +26,7 @@ KINDS: dict[str, Kind] = {
         MagneticBearingDescription,
         RoboticLegDescription,
         BallBeamDescription,
+        DriveDescription,
         MechanicalDescription,
     )
 }

@@ -26,6 +26,7 @@ from ._mechanical import (
 from ._mechanisms import (
     BallBeam as BallBeam,
     CartOnArm as CartOnArm,
+    Drive as Drive,
     InertiaWheelPendulum as InertiaWheelPendulum,
     RoboticLeg as RoboticLeg,
     VariableLengthPendulum as VariableLengthPendulum,
@@ -45,6 +46,7 @@ __all__ = [
     "BearingState",
     "CartOnArm",
     "ChainRelation",
+    "Drive",
     "FluxRelation",
     "InertiaWheelPendulum",
     "IntegratorChain",

@@ -12,6 +12,7 @@ from ._mechanical import AbstractMechanicalSystem, MechanicalState
 __all__ = [
     "BallBeam",
     "CartOnArm",
+    "Drive",
     "InertiaWheelPendulum",
     "RoboticLeg",
     "VariableLengthPendulum",
@@ -102,6 +103,43 @@ class BallBeam(AbstractMechanicalSystem):
 
     def friction(self, q: RealArray) -> RealArray:
         return jnp.diag(self.damping)
+
+
+class Drive(AbstractMechanicalSystem):
+    """A drive of one degree of freedom, `q'' = -decay q' + gain u`, with q the angle of the
+    shaft (rad): a motor whose current follows faster than its speed. Input: what drives it,
+    for instance a voltage (V).
+
+    - `decay` (1/s): friction and back-EMF over inertia, one over its time constant;
+    - `gain` (rad/s^2 for one of the input), of either sign.
+
+    Its inertia is taken as one, so that forces are accelerations.
+    """
+
+    decay: Float[Array, ""] = eqx.field(converter=real)
+    gain: Float[Array, ""] = eqx.field(converter=real)
+    angles: tuple[bool, ...] = eqx.field(static=True, default=(True,))
+
+    def __check_init__(self) -> None:
+        nonnegative("decay", self.decay)
+
+    def initial(self) -> PyTree:
+        """At rest, at angle zero."""
+        return at_rest(self.decay, [0.0])
+
+    def inertia(self, q: RealArray) -> RealArray:
+        return jnp.ones((1, 1), q.dtype)
+
+    def potential(self, q: RealArray) -> RealArray:
+        return jnp.zeros_like(q[0])
+
+    def input_matrix(self, q: RealArray) -> RealArray:
+        del q
+        return self.gain[None, None]
+
+    def friction(self, q: RealArray) -> RealArray:
+        del q
+        return self.decay[None, None]
 
 
 class CartOnArm(AbstractMechanicalSystem):

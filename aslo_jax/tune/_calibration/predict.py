@@ -203,10 +203,13 @@ def residual(terms: Any, x: Float[Array, " n"]) -> tuple[Array, Array]:
 
 class NewtonPrediction(AbstractPrediction):
     """A mechanical system: x is its coordinates and velocities, the gap what is measured
-    of the former less what is predicted: the acceleration residual without a derivative."""
+    of the former less what is predicted: the acceleration residual without a derivative.
+
+    - `parts`: steps of the solver in each interval, more of them for a fast decay."""
 
     system: AbstractMechanicalSystem
     coordinates: int = eqx.field(static=True)
+    parts: int = eqx.field(static=True, default=1)
 
     def drift(self, x: RealArray, u: RealArray, y: RealArray) -> RealArray:
         del y
@@ -225,7 +228,9 @@ class NewtonPrediction(AbstractPrediction):
     ) -> RealArray:
         added = jnp.zeros_like(x).at[jnp.asarray(self.disturbed)].add(disturbance)
         rate = lambda t, x: self.drift(x, u, y[0]) + added
-        return runge_kutta(rate, jnp.zeros_like(h), x, h)
+        step = lambda k, x: runge_kutta(rate, jnp.zeros_like(h), x, h / self.parts)
+        # A loop, since XLA would compile every step for itself.
+        return jax.lax.fori_loop(0, self.parts, step, x) if self.parts > 1 else step(0, x)
 
     def gap(self, x: RealArray, u: RealArray, y: RealArray) -> RealArray:
         del u

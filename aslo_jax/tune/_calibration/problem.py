@@ -30,6 +30,7 @@ from .predict import (
 from .whiten import Signals
 
 HELD = 0.5  # of inputs, as far as one knows, and how unsure that is: held or smooth
+STEP, PARTS = 0.25, 32  # of a time constant, of the solver at most; and steps at most
 SLOPE = 20  # rows from which the first velocities of a mechanical system are guessed
 
 
@@ -44,10 +45,12 @@ class Form(Module):
     """How a model predicts: a mechanical system, or relations with what is known of them.
 
     - `sizes`, `rates`: as in [`RelationPrediction`][]; `opened`: which constants are free;
-    - `answers`: whether outputs answer a held input at once, so that it bends them.
+    - `answers`: whether outputs answer a held input at once, so that it bends them;
+    - `parts`: as in [`NewtonPrediction`][].
     """
 
     coordinates: int = eqx.field(static=True, default=0)
+    parts: int = eqx.field(static=True, default=1)
     sizes: tuple[int, ...] = eqx.field(static=True, default=())
     rates: tuple[bool, ...] = eqx.field(static=True, default=())
     opened: tuple[bool, ...] = eqx.field(static=True, default=())
@@ -57,7 +60,7 @@ class Form(Module):
         """Of the `model`, with the values of its free constants, and, where the outputs
         answer at once, of how far the inputs are held."""
         if self.coordinates:
-            return NewtonPrediction(model, self.coordinates)
+            return NewtonPrediction(model, self.coordinates, self.parts)
         relations = relations_of(model)
         assert relations is not None
         free = np.flatnonzero(self.opened)
@@ -102,6 +105,17 @@ class Problem(Module):
     def drift(self) -> Float[np.ndarray, "N n"]:
         """The derivatives of the states at their start (their units per second)."""
         return np.asarray(_drift(self, self.unknowns))
+
+
+# What runs once is compiled as a whole: operation by operation XLA makes a program of each.
+@eqx.filter_jit
+def _corrected(recorded, signals):
+    return recorded.imperfections(signals)
+
+
+@eqx.filter_jit
+def _gaps(relation, x, u, y):
+    return jax.vmap(lambda x, u, y: residual(relation(u, y), x)[0])(x, u, y)
 
 
 @eqx.filter_jit
@@ -154,10 +168,21 @@ def _mechanical(parameters, t, u, y, scale, tested):
     signals = Signals(np.diff(t), u, y)
     n = y.shape[1]
     x = np.concatenate([y, np.gradient(y, t, axis=0)], axis=1)
-    form = Form(coordinates=n)
+    form = Form(coordinates=n, parts=_parts(system, signals, np.concatenate([y[0], slope])))
     parameters = _scaled(parameters, form, signals, x, np.zeros(0), scale)
     unknowns = np.concatenate([np.zeros(len(parameters.names)), y[0], slope])
     return Problem(parameters, form, signals, unknowns, 2 * n, tested)
+
+
+def _parts(system, signals, x):
+    """How many steps an interval takes whose error is that of a decay in steps of at most a
+    quarter of its time constant, twice as fast as at the start."""
+    h, u, _ = signals
+    n = x.size // 2
+    field = lambda x: system.acceleration(x[:n], x[n:], jnp.asarray(u[0]))
+    slopes = np.asarray(jax.jacfwd(field)(jnp.asarray(x)))
+    fastest = float(np.max(np.abs(np.linalg.eigvals(slopes[:, n:]))))
+    return int(np.clip(np.ceil(fastest * float(np.quantile(h, 0.99)) / STEP), 1, PARTS))
 
 
 def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
@@ -187,7 +212,7 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
     q = start.first_guess(parameters, observers, t, whole, opened, tested)
     recorded = parameters.place(q)
     found = observers(recorded.model)
-    _, u, y = (np.asarray(x) for x in recorded.imperfections(whole))
+    _, u, y = (np.asarray(x) for x in _corrected(recorded, whole))
     estimates = [replay(o, t, u, y) for o in found]
     weights, certified = _certified(estimates, found, t)
     if certified.sum() < 0.1 * t.size:
@@ -207,8 +232,7 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
             terms_there: Any = relation(u[k], y[k])
             first.append(np.asarray(terms_there.s)[None])
         if is_open:
-            gap = jax.vmap(lambda x, u, y, r=relation: residual(r(u, y), x)[0])
-            gaps = np.asarray(gap(estimate.value, u, y))
+            gaps = np.asarray(_gaps(relation, estimate.value, u, y))
             constants.append([np.sum(w * gaps) / np.sum(w)])
     unknowns = np.concatenate([q, *first, *constants, held])
     return Problem(parameters, form, signals, unknowns, sum(sizes), tested)
@@ -260,6 +284,9 @@ def _scaled(
     for its offset, or else what makes the derivatives of the states as large again."""
     size = parameters.scale.copy()
     unit = dataclasses.replace(parameters, scale=np.ones_like(size))
+    known = sizes_of(signals)
+    for j in np.flatnonzero(size == 0):
+        size[j] = known.get(parameters.names[j].partition("[")[0], 0.0)
     if (size == 0).any():
 
         def drift(q, x, u, y):
@@ -269,12 +296,7 @@ def _scaled(
         each = jax.vmap(drift, (None, 0, 0, 0))(zero, x, signals.u, signals.y)
         slopes = jax.vmap(jax.jacfwd(drift), (None, 0, 0, 0))(zero, x, signals.u, signals.y)
         each, slopes = np.asarray(each), np.asarray(slopes)
-        known = sizes_of(signals)
         for j in np.flatnonzero(size == 0):
-            field = parameters.names[j].partition("[")[0]
-            if field in known:
-                size[j] = known[field]
-                continue
             entries = np.any(slopes[:, :, j] != 0, axis=0)
             moved = np.sqrt(np.mean(slopes[:, entries, j] ** 2)) if entries.any() else 0.0
             size[j] = np.sqrt(np.mean(each[:, entries] ** 2)) / moved if moved else 1.0

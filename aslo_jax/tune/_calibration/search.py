@@ -17,6 +17,7 @@ from .start import paired
 from .whiten import Gains, Noise, errors, kalman
 
 KICK = 0.02  # of the derivatives' rms, the first guess of what disturbs them
+DISTURBED, ALONE = 1e-3, 1e-5  # of the same: what may be too much, and what is nothing
 PRIOR = 1.0  # standard deviation of the logarithm of a parameter: it keeps what the record
 # does not tell at home, and tells nothing against it
 FINE = 1e-6  # of the likelihood per row, to which noise levels are found
@@ -173,14 +174,22 @@ class Search:
             value, slope, *_ = self._filtered(v, levels)
             return float(value), np.asarray(slope)
 
-        found = minimize(
-            cost,
-            self.levels,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=[(-7.0, 7.0), (np.log(1e-8), np.log(3.0))],
-            options={"maxiter": 15, "ftol": FINE},
-        )
+        def least(levels):
+            return minimize(
+                cost,
+                levels,
+                jac=True,
+                method="L-BFGS-B",
+                bounds=[(-7.0, 7.0), (np.log(1e-8), np.log(3.0))],
+                options={"maxiter": 15, "ftol": FINE},
+            )
+
+        found = least(self.levels)
+        if self.problem.form.coordinates and found.x[1] > np.log(DISTURBED):
+            # Output errors alone are a maximum of their own: of positions the disturbance
+            # of accelerations hides below the noise.
+            alone = least(np.array([self.levels[0], np.log(ALONE)]))
+            found = min(found, alone, key=lambda f: f.fun)
         self.levels = found.x
         value, _, gains, _ = self._filtered(v, found.x)
         self.likelihood = -float(value) * len(self.problem.signals.y)

@@ -68,6 +68,7 @@ def typical_cutoff(relations: tuple[Relation, ...], signals: Signals) -> float:
     return max(float(max(rates)) / np.sqrt(3.0), 5.0)
 
 
+@eqx.filter_jit
 def trusted(estimate: Any, t: Float[Array, " N"], observer: AlgebraicObserver) -> Array:
     """The weight of every row of an estimate, of sum one."""
     weight = jnp.where(estimate.coasting, 0.0, estimate.certificate)
