@@ -201,7 +201,7 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
     form = Form(sizes=sizes, rates=rates, opened=opened, answers=at_once)
     held = np.full(int(at_once), HELD)
     begun = observers(parameters.model.model)
-    estimates = [replay(o, t, u, y) for o in begun]
+    estimates = [replay(o, t, u, y, engine="auto") for o in begun]
     _certified(estimates, begun, t)
     x = np.concatenate(
         [_states(e.value, y, r) for e, r in zip(estimates, rates, strict=True)], axis=1
@@ -213,7 +213,7 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
     recorded = parameters.place(q)
     found = observers(recorded.model)
     _, u, y = (np.asarray(x) for x in _corrected(recorded, whole))
-    estimates = [replay(o, t, u, y) for o in found]
+    estimates = [replay(o, t, u, y, engine="auto") for o in found]
     weights, certified = _certified(estimates, found, t)
     if certified.sum() < 0.1 * t.size:
         raise Unobservable(
