@@ -17,6 +17,8 @@ from ._base import AbstractObserver, Estimate
 from ._lifted import _deviation, curved_certificate
 from ._lifting import entries
 
+IMPROBABLE = 5.0  # deviations of a parameter
+
 
 def _one_each(x: Any) -> Array:
     """A tuple or a list is one array."""
@@ -62,6 +64,7 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
     The estimate is an [`AdaptiveEstimate`][]. It is `coasting` until the bank has started,
     and while a rival solution lives: at one constant slow speed, a motor with another
     resistance whose magnet points the other way has the very same currents and voltages.
+    So it is while a parameter is found 5 of its `deviations` away: that is no solution.
     Its certificate is that of [`Lifted`][], and 0 before the start. Where a sample is
     missing it is carried along the known derivative, and says so.
 
@@ -86,7 +89,7 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
     deviations: Float[Array, " q"] = eqx.field(converter=_one_each, default=(0.1, 0.02))
     drift: Float[Array, "*q"] = eqx.field(converter=real, default=0.0)
     hold: Float[Array, ""] = eqx.field(converter=real, default=0.03)
-    bank: int = eqx.field(static=True, default=21)
+    bank: int = eqx.field(static=True, default=11)
     initial: Float[Array, " n"] | None = eqx.field(converter=optional_real, default=None)
 
     def __check_init__(self) -> None:
@@ -107,8 +110,8 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
         names, count = self.parameters, jnp.shape(self.deviations)
         if not names or len(set(names)) < len(names):
             raise ValueError(
-                "Argument `parameters` must name leaves of the relation, each once, but got "
-                f"{names!r}."
+                "Argument `parameters` must name leaves of the relation, each once, but "
+                f"got {names!r}."
             )
         for name in names:
             value = getattr(self.relation, name, None)
@@ -119,25 +122,25 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
                     "Argument `parameters` must name numbers that the relation has, but "
                     f"`{name}` is none of {type(self.relation).__name__}."
                 )
-            if is_concrete(value) and not isinstance(value, jax.ShapeDtypeStruct):
-                if float(value) == 0.0:
-                    raise ValueError(
-                        "Argument `parameters` must name parameters that are not zero, "
-                        f"since deviations are relative, but `{name}` is; give it to the "
-                        "relation."
-                    )
-        if isinstance(self.deviations, jax.Array) and count != (len(names),):
+            number = is_concrete(value) and isinstance(value, jax.Array | float | int)
+            if number and float(value) == 0.0:
+                raise ValueError(
+                    "Argument `parameters` must name parameters that are not zero, since "
+                    f"deviations are relative, but `{name}` is; give it to the relation."
+                )
+        if not isinstance(self.deviations, jax.Array):
+            return
+        if count != (len(names),):
             raise ValueError(
                 f"Argument `deviations` must be one for each of {names!r}, but has the "
                 f"shape {count}."
             )
-        if isinstance(self.deviations, jax.Array) and is_concrete(self.deviations):
-            if REACH * float(self.deviations[0]) >= 1.0:
-                raise ValueError(
-                    f"Argument `deviations` must be below {1 / REACH:g} for the first "
-                    "parameter, whose bank would have values of either sign, but got "
-                    f"{float(self.deviations[0]):g}."
-                )
+        if is_concrete(self.deviations) and REACH * float(self.deviations[0]) >= 1.0:
+            raise ValueError(
+                f"Argument `deviations` must be below {1 / REACH:.3g} for the first "
+                "parameter, whose bank would have values of either sign, but got "
+                f"{float(self.deviations[0]):g}."
+            )
 
     @property
     def law(self) -> AdaptiveKalman:
@@ -151,8 +154,8 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
 
     def vector_field(self, t: Any, state: Any, u: PyTree, y: PyTree) -> Any:
         raise ValueError(
-            "`Adaptive` is an observer of samples; use `step` or `replay`, or in continuous "
-            "time a `Lifted`, which takes the parameters as known."
+            "`Adaptive` is an observer of samples; use `step` or `replay`, or in "
+            "continuous time a `Lifted`, which takes the parameters as known."
         )
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> AdaptiveEstimate:
@@ -166,10 +169,11 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
         spread = [entries(line) for line in P[:n, :n]]
         certificate = curved_certificate((row,), x, spread)
         nominal = model.nominal().astype(x.dtype)
+        improbable = jnp.any(jnp.abs(belief.mean[n:]) > IMPROBABLE * self.deviations)
         return AdaptiveEstimate(
             x,
             jnp.where(belief.started, certificate, 0.0),
-            ~belief.started | (belief.rivals > ALIVE),
+            ~belief.started | (belief.rivals > ALIVE) | improbable,
             P[:n, :n],
             parameters=nominal * (1.0 + belief.mean[n:]),
             parameter_covariance=nominal[:, None] * nominal * P[n:, n:],

@@ -46,13 +46,13 @@ class Member(NamedTuple):
 class AdaptiveBelief(NamedTuple):
     """`fits` and `members` of the bank; the samples that the fits have, the length of their
     window, when enough of them were certain (0 before); whether the filters have `started`,
-    and how long ago (s); whether they are `merged`; information on the first parameter (1/s)
-    and whether the parameters are held; mean and covariance of all members that agree with
-    the best, and the weight of the others."""
+    and how long ago (s); whether they are `merged`; how fast they learn of the first
+    parameter (1/s) and whether the parameters are held; mean and covariance of all members
+    that agree with the best, and the weight of the others."""
 
     fits: Fit
     members: Member
-    count: Float[Array, ""]
+    samples: Float[Array, ""]
     window: Float[Array, ""]
     enough: Float[Array, ""]
     started: Bool[Array, ""]
@@ -102,8 +102,17 @@ class AdaptiveKalman(AbstractLaw):
         return AdaptiveBelief(
             jax.vmap(join)(self.grid()),
             jax.tree.map(alike, one),
-            *(zero + 1.0, zero, zero, no, zero, no, zero, no),
-            *(mean, P, zero + 1.0),
+            zero + 1.0,
+            zero,
+            zero,
+            no,
+            zero,
+            no,
+            zero,
+            no,
+            mean,
+            P,
+            zero + 1.0,
         )
 
     def flow(self, X: PyTree, v: PyTree) -> Any:
@@ -118,7 +127,10 @@ class AdaptiveKalman(AbstractLaw):
         h = jnp.asarray(coefficients, X.mean.dtype)
         sample = u, y0, y1, missing, h
         settled = lambda X: self._settled(X, sample)
-        compete, begin = lambda X: self._compete(X, sample), lambda X: self._begin(X, sample)
+        compete, begin = (
+            lambda X: self._compete(X, sample),
+            lambda X: self._begin(X, sample),
+        )
         others = lambda X: jax.lax.cond(X.started, compete, begin, X)
         return jax.lax.cond(X.merged, settled, others, X)
 
@@ -170,7 +182,7 @@ class AdaptiveKalman(AbstractLaw):
             return jax.tree.map(lambda a, b: jnp.where(missing, a, b), fit, with_y)
 
         fits = jax.vmap(onward)(X.fits, grid)
-        count = X.count + jnp.where(missing, 0.0, 1.0)
+        count = X.samples + jnp.where(missing, 0.0, 1.0)
         fit = lambda f, e: fitted(f, count, model, self.errors(e), u, y1, h)
         found = jax.vmap(fit)(fits, grid)
         share = jnp.mean(found.certain.astype(count.dtype))
@@ -184,7 +196,6 @@ class AdaptiveKalman(AbstractLaw):
         window = jnp.where(over, jnp.minimum(2.0 * window, WIDENED * shortest), window)
         fits = jax.tree.map(lambda a: jnp.where(over, 0.0, a), fits)
         members = self._members(found, X.members, u, y1)
-        middle = self.bank // 2
         initial = X.mean[: found.x.shape[1]]
         z = model.row(self.errors(0.0 * h), u, y0).z
         z = z + model.row(self.errors(0.0 * h), u, y1).z
@@ -192,10 +203,8 @@ class AdaptiveKalman(AbstractLaw):
         best = _agreed(members)
         return X._replace(
             fits=fits,
-            members=jax.tree.map(
-                lambda a, b: jnp.where(started, a, b), members, X.members
-            ),
-            count=jnp.where(over, 0.0, count),
+            members=jax.tree.map(lambda a, b: jnp.where(started, a, b), members, X.members),
+            samples=jnp.where(over, 0.0, count),
             window=window,
             enough=enough,
             started=started,
@@ -228,9 +237,7 @@ class AdaptiveKalman(AbstractLaw):
             score = jnp.where(certain, prior, -1e6)
             return Member(mean, P, flat, direction, score)
 
-        return jax.vmap(member)(
-            x, found.certain, found.covariance, grid, along, bent
-        )
+        return jax.vmap(member)(x, found.certain, found.covariance, grid, along, bent)
 
     def _step(
         self, m: Member, age: Array, learning: Array, sample: Any, holding: bool

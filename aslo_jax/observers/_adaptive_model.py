@@ -20,7 +20,7 @@ from .._module import Module
 from .._relations import Quadratic
 from .._small import safe_reciprocal, safe_rsqrt
 from .._typing import PyTree
-from ._lifting import Relation, noise_of, quadratic, rows_of
+from ._lifting import Relation, noise_of, quadratic, rows_of, spread
 
 
 class Entry(NamedTuple):
@@ -48,8 +48,10 @@ class Model(Module):
     def at(self, errors: Float[Array, " q"]) -> Relation:
         """The relation with these relative errors of the parameters taken out."""
         relation = self.relation
-        for name, value in zip(self.parameters, self.nominal() * (1.0 + errors)):
-            relation = eqx.tree_at(lambda r, name=name: getattr(r, name), relation, value)
+        values = self.nominal() * (1.0 + errors)
+        for k, name in enumerate(self.parameters):
+            leaf = lambda r, name=name: getattr(r, name)
+            relation = eqx.tree_at(leaf, relation, values[k])
         return relation
 
     def row(self, errors: Float[Array, " q"], u: PyTree, y: PyTree) -> Quadratic:
@@ -157,8 +159,6 @@ def slope_by_y(
 
 def spread_of(model: Model, y: PyTree) -> Float[Array, " p"]:
     """The deviation of every entry of y, flat."""
-    from ._lifting import spread
-
     return spread(model.output_deviation, y, "output")
 
 
