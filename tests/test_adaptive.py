@@ -147,13 +147,13 @@ def test_one_filter_equals_a_plain_loop():
     _, middle = aslo.replay(observer(), t[:-400], u[:-400], y[:-400], return_state=True)
     belief = middle.states["belief"]
     assert belief.merged and not belief.held
-    one = jax.tree.map(lambda a: np.asarray(a[0]), belief.members)
+    one = jax.tree.map(np.asarray, belief.one)
     angle = np.arctan2(*one.direction[::-1])
     now, age = [one.mean, one.covariance, one.smooth, angle], float(belief.age)
     for k in range(t.size - 400, t.size):
         now = plain(*now, u[k - 1], y[k - 1], y[k], H, age)
         age += H
-    last = jax.tree.map(lambda a: a[0], state.states["belief"].members)
+    last = state.states["belief"].one
     np.testing.assert_allclose(last.mean[:2], now[0][:2], rtol=0, atol=1e-10 * M)
     np.testing.assert_allclose(last.mean[2:], now[0][2:], rtol=0, atol=1e-9)
     scale = np.sqrt(np.diag(now[1]))

@@ -52,8 +52,8 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
     - `parameters`: the names of the scalar leaves of the relation that are not known, such
       as `("resistance", "magnet_flux")`. The first one is that of the bank: the one that
       moves x, on which the rest depends most;
-    - `deviations`: their standard deviations, relative to their values in the relation, one
-      for each. The bank covers three times that of the first one, to both sides;
+    - `deviations`, shape `(q,)`: their standard deviations, relative to their values in the
+      relation. The bank covers three times that of the first one, to both sides;
     - `drift`: their random walk, relative, for a temperature that changes: its standard
       deviation after a second (1/sqrt(s)), shape `()` or `(q,)`;
     - `hold`: the parameters are held where the first one is not known to this relative

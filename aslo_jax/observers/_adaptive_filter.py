@@ -44,14 +44,16 @@ class Member(NamedTuple):
 
 
 class AdaptiveBelief(NamedTuple):
-    """`fits` and `members` of the bank; the samples that the fits have, the length of their
-    window, when enough of them were certain (0 before); whether the filters have `started`,
-    and how long ago (s); whether they are `merged`; how fast they learn of the first
-    parameter (1/s) and whether the parameters are held; mean and covariance of all members
-    that agree with the best, and the weight of the others."""
+    """`fits` and `members` of the bank, and the `one` that is left of them; the samples
+    that the fits have, the length of their window, when enough of them were certain (0
+    before); whether the filters have `started`, and how long ago (s); whether they are
+    `merged`; how fast they learn of the first parameter (1/s) and whether the parameters are
+    held; mean and covariance of all members that agree with the best, and the weight of the
+    others."""
 
     fits: Fit
     members: Member
+    one: Member
     samples: Float[Array, ""]
     window: Float[Array, ""]
     enough: Float[Array, ""]
@@ -102,6 +104,7 @@ class AdaptiveKalman(AbstractLaw):
         return AdaptiveBelief(
             jax.vmap(join)(self.grid()),
             jax.tree.map(alike, one),
+            one,
             zero + 1.0,
             zero,
             zero,
@@ -135,12 +138,10 @@ class AdaptiveKalman(AbstractLaw):
         return jax.lax.cond(X.merged, settled, others, X)
 
     def _settled(self, X: AdaptiveBelief, sample: Any) -> AdaptiveBelief:
-        """One filter, which all members are."""
-        one = jax.tree.map(lambda a: a[0], X.members)
-        one, learning, held = self._step(one, X.age, X.learning, sample, holding=True)
-        members = jax.tree.map(lambda a, b: jnp.broadcast_to(a, b.shape), one, X.members)
+        """One filter; what it came from stays as it was."""
+        one, learning, held = self._step(X.one, X.age, X.learning, sample, holding=True)
         return X._replace(
-            members=members,
+            one=one,
             age=X.age + sample[-1],
             learning=learning,
             held=held,
@@ -159,9 +160,9 @@ class AdaptiveKalman(AbstractLaw):
         one = Member(
             mean, P, *(best @ a for a in (members.smooth, members.direction)), 0.0 * age
         )
-        members = jax.tree.map(lambda a, b: jnp.where(merged, a, b), one, members)
         return X._replace(
             members=members,
+            one=one,
             age=age,
             merged=merged,
             mean=mean,
