@@ -220,6 +220,26 @@ def test_a_drift_keeps_a_parameter_open():
     assert claims[1] > 2 * claims[0] and claims[1] < 0.05
 
 
+def test_what_it_finds_is_differentiable():
+    t, u, y, _ = record(steady, 0.1, 8)
+
+    def found(s):
+        relation = aslo.plants.FluxRelation(R, L, M)
+        estimate = aslo.replay(aslo.Adaptive(relation, s, VOLTAGE, bank=3), t, u, y)
+        return jnp.append(estimate.value[-1], estimate.parameters[-1]), estimate.coasting[
+            -1
+        ]
+
+    of = jax.jit(lambda s: jax.jvp(found, (s,), (jnp.ones(()),)))
+    # Between the instants at which a start would change.
+    (_, coasting), (slope, _) = of(jnp.asarray(CURRENT))
+    step = 1e-6 * CURRENT
+    (up, _), _ = of(jnp.asarray(CURRENT + step))
+    (down, _), _ = of(jnp.asarray(CURRENT - step))
+    assert not coasting and jnp.abs(slope).min() > 0
+    np.testing.assert_allclose(slope, (up - down) / (2 * step), rtol=1e-3)
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

@@ -47,9 +47,9 @@ class AdaptiveBelief(NamedTuple):
     """`fits` and `members` of the bank, and the `one` that is left of them; the samples
     that the fits have, the length of their window, when enough of them were certain (0
     before); whether the filters have `started`, and how long ago (s); whether they are
-    `merged`; how fast they learn of the first parameter (1/s) and whether the parameters are
-    held; mean and covariance of all members that agree with the best, and the weight of the
-    others."""
+    `merged`; how fast they learn of the first parameter (1/s) and whether the parameters
+    are held; mean and covariance of all members that agree with the best, and the weight of
+    the others."""
 
     fits: Fit
     members: Member
@@ -157,9 +157,8 @@ class AdaptiveKalman(AbstractLaw):
         mean, P, rivals, best = _agreed(members)
         age = X.age + sample[-1]
         merged = (age >= MERGING) & (rivals < ALIVE)
-        one = Member(
-            mean, P, *(best @ a for a in (members.smooth, members.direction)), 0.0 * age
-        )
+        smooth, direction = best @ members.smooth, best @ members.direction
+        one = Member(mean, P, smooth, direction, jnp.zeros_like(age))
         return X._replace(
             members=members,
             one=one,
