@@ -211,6 +211,17 @@ def test_the_fused_engine_does_the_same():
     np.testing.assert_allclose(fused.parameters, scan.parameters, rtol=1e-8)
 
 
+def test_single_precision_stays_single_and_close():
+    t, u, y, _ = record(turning, 1.2, 9)
+    single = lambda tree: jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), tree)
+    double = aslo.replay(observer(bank=5), t, u, y)
+    found = aslo.replay(single(observer(bank=5)), jnp.asarray(t), single(u), single(y))
+    assert all(x.dtype in (jnp.float32, bool) for x in jax.tree.leaves(found))
+    assert not found.coasting[-1]
+    np.testing.assert_allclose(found.value[-1], double.value[-1], atol=2e-3 * M)
+    np.testing.assert_allclose(found.parameters[-1], double.parameters[-1], rtol=2e-3)
+
+
 def test_a_drift_keeps_a_parameter_open():
     t, u, y, _ = record(turning, 1.3, 7)
     claims = []

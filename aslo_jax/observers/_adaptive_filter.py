@@ -229,7 +229,7 @@ class AdaptiveKalman(AbstractLaw):
             rest = self.errors(0.0 * e).at[1:].set(self.deviations[1:] ** 2)
             own = jnp.zeros((mean.size, mean.size), mean.dtype)
             P = P + bent[:, None] * bent
-            own = own.at[:n, :n].set(jnp.where(certain, P, jnp.eye(n)))
+            own = own.at[:n, :n].set(jnp.where(certain, P, jnp.eye(n, dtype=P.dtype)))
             own = own + jnp.diag(jnp.concatenate([jnp.zeros(n, mean.dtype), rest]))
             P = own + by_first[:, None] * by_first * of_first
             direction, _ = slope_by_y(self.model, mean, u, y)
