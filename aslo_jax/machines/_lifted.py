@@ -80,7 +80,9 @@ class ObserverTable(Table):
         given = {k for k in self.model_fields_set if getattr(self, k) is not None}
         if not is_adaptive(self):
             for name in OF_ADAPTIVE:
-                if name in given:
+                # A template has them, as they are by default.
+                field = type(self).model_fields.get(name)
+                if name in given and field and getattr(self, name) != field.default:
                     raise ValueError(_is_for(name, ADAPTIVE))
         if not is_lifted(self):
             for name in ("output_deviation", "input_deviation", "prior"):
