@@ -1,5 +1,6 @@
 """How good the flux observers of a PMSM are beside the Cramér-Rao bound, each tuned by one
-search on some seeds and judged on others, with exact parameters.
+search on some seeds and judged on others, with exact parameters; and what is left of that
+with parameters that are wrong, of those that hold them and of one that finds them.
 
 Regimes: `slow` (2 rad/s and 3 N m, from 2 s on), `fast` (75 rad/s, from 1 s on), `reversal`
 (from 60 to -60 rad/s, slow through zero, from 0.5 s on). 10 mA and 0.1 V of noise on every
@@ -25,6 +26,16 @@ AT_MOST = {
 }
 COST = 1.5  # of ASLO, for Lifted
 CALIBRATED = 0.7, 1.4
+# Relative errors of the resistance and the magnet flux that the observer is given.
+WRONG = (
+    (0.05, 0.01),
+    (-0.05, -0.01),
+    (0.2, 0.03),
+    (0.2, -0.03),
+    (-0.2, 0.03),
+    (-0.2, -0.03),
+)
+LOST, LAST = 10e-3, 0.5  # Wb and s: a failure, unflagged at the end
 
 
 class Regime(NamedTuple):
@@ -62,6 +73,16 @@ def regimes() -> dict[str, Regime]:
         ),
         "fast": Regime(lambda t: 75.0 + 25.0 * jnp.sin(2.0 * t), light, 20_000, 1.0),
         "reversal": Regime(reversal, light, 18_000, 0.5),
+    }
+
+
+def silent() -> dict[str, Regime]:
+    """Regimes in which wrong parameters cannot be found: at a constant speed and load."""
+    return {
+        "constant": Regime(lambda t: 40.0 + 0.0 * t, lambda t: 0.5 + 0.0 * t, 20_000, 1.0),
+        "constant, slow": Regime(
+            lambda t: 2.0 + 0.0 * t, lambda t: 3.0 + 0.0 * t, 20_000, 1.0
+        ),
     }
 
 
@@ -256,6 +277,69 @@ def contend(regime: Regime, contender: Contender, claims: bool) -> dict[str, Any
     return found
 
 
+def wrong(regime: Regime, seeds=VALIDATION) -> dict[str, Any]:
+    """With wrong parameters: root mean square errors pooled, and the worst of them;
+    failures, and runs that are flagged at the end; the calibration of the covariance."""
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    import aslo_jax as aslo
+    from aslo_jax.engines import Runner
+    from aslo_jax.metrics import RMSError
+    from aslo_jax.metrics._functions import Mean
+
+    true = aslo.plants.PMSM.bmp0701f()
+    end = jnp.asarray(INTERVAL * regime.steps - LAST)
+
+    def lost(record):
+        estimate = record.estimates["o"]
+        far = jnp.linalg.norm(estimate.value - record.hidden) > LOST
+        return jnp.where(far & ~estimate.coasting, 1.0, 0.0)
+
+    flagged = lambda record: jnp.where(record.estimates["o"].coasting, 1.0, 0.0)
+    makers = {
+        "Lifted": lambda relation: aslo.Lifted(relation, CURRENT, VOLTAGE),
+        "Adaptive": lambda relation: aslo.Adaptive(relation, CURRENT, VOLTAGE),
+    }
+    found = {}
+    for who, of in makers.items():
+
+        def make(sample, of=of):
+            R, m = (1.0 + sample["gains"][k] for k in (0, 1))
+            relation = aslo.plants.FluxRelation(
+                R * true.resistance, true.inductance, m * true.magnet_flux
+            )
+            return experiment(regime, of(relation), sample)
+
+        metrics = {
+            "rms": RMSError("o", regime.after, norm=True),
+            "lost": Mean(lost, end),
+            "flagged": Mean(flagged, end),
+            "normalised": normalised(regime),
+        }
+        if who == "Adaptive":
+            holds = lambda record: jnp.where(record.estimates["o"].held, 1.0, 0.0)
+            metrics["held"] = Mean(holds, end)
+        each = samples(seeds, np.array(WRONG))
+        one = jax.tree.map(lambda x: x[0], each)
+        runner = Runner(make, one, regime.steps, metrics=metrics)
+        every = {k: np.asarray(v) for k, v in runner(each).metrics.items()}
+        by_error = np.sqrt(np.mean(every["rms"].reshape(len(WRONG), -1) ** 2, axis=1))
+        found[who] = {
+            "rms": float(np.sqrt(np.mean(every["rms"] ** 2))),
+            "median": float(np.median(every["rms"])),
+            "by error": by_error.tolist(),
+            "lost": int((every["lost"] > 0).sum()),
+            "flagged": int((every["flagged"] > 0).sum()),
+            "held": int((every.get("held", np.zeros(1)) > 0).sum()),
+            "runs": every["rms"].size,
+            "normalised": float(every["normalised"].mean()),
+            "engine": runner.engine,
+        }
+    return found
+
+
 def cost(rows: int = 200_000, rounds: int = 15) -> dict[str, float]:
     """The seconds of the fused replay of a long log over those of ASLO: medians of ratios
     within a round."""
@@ -269,9 +353,17 @@ def cost(rows: int = 200_000, rounds: int = 15) -> dict[str, float]:
     relation = aslo.plants.PMSM.bmp0701f().flux_relation()
     rng = np.random.default_rng(0)
     t = INTERVAL * np.arange(rows)
-    turning = np.stack([np.cos(300.0 * t), np.sin(300.0 * t)], axis=1)
-    u = 60.0 * turning + VOLTAGE * rng.standard_normal((rows, 2))
-    y = 2.0 * turning[:, ::-1] + CURRENT * rng.standard_normal((rows, 2))
+    direct = np.stack([np.cos(300.0 * t), np.sin(300.0 * t)], axis=1)
+    y = 2.0 * np.stack([-direct[:, 1], direct[:, 0]], axis=1)
+    R, L, m = (
+        float(getattr(relation, k)) for k in ("resistance", "inductance", "magnet_flux")
+    )
+    mean = R * 0.5 * (y + np.roll(y, -1, axis=0))
+    flux = L * y + m * direct
+    u = mean + (np.roll(flux, -1, axis=0) - flux) / INTERVAL
+    u[-1] = u[-2]
+    u = u + VOLTAGE * rng.standard_normal((rows, 2))
+    y = y + CURRENT * rng.standard_normal((rows, 2))
 
     def replayed(observer):
         return lambda: jax.block_until_ready(
@@ -283,8 +375,21 @@ def cost(rows: int = 200_000, rounds: int = 15) -> dict[str, float]:
         "ASLO": aslo.AlgebraicObserver(relation, filter),
         "ASLO, two rates": aslo.AlgebraicObserver(relation, filter, forgetting),
         "Lifted": aslo.Lifted(relation, CURRENT, VOLTAGE),
+        "Adaptive": aslo.Adaptive(relation, CURRENT, VOLTAGE),
     }
     return timing.ratios({name: replayed(o) for name, o in every.items()}, rounds)
+
+
+def _said(found: dict[str, Any]) -> dict[str, Any]:
+    for who, f in found.items():
+        each = ", ".join(f"{1e3 * x:.3f}" for x in f["by error"])
+        print(
+            f"    {who}, wrong parameters: {1e3 * f['rms']:.4f}, median "
+            f"{1e3 * f['median']:.4f}, each {each}; of {f['runs']} lost {f['lost']}, "
+            f"flagged {f['flagged']}, held {f['held']}; calibration {f['normalised']:.2f}",
+            flush=True,
+        )
+    return found
 
 
 def main() -> list[str]:
@@ -322,6 +427,17 @@ def main() -> list[str]:
                     f"{who} is {over:.3f} times the bound in the regime {name}, more than "
                     f"{limits[name]:g}."
                 )
+        figures[name]["wrong"] = _said(wrong(regime))
+        adaptive = figures[name]["wrong"]["Adaptive"]
+        if adaptive["lost"]:
+            failures.append(
+                f"Adaptive is lost {adaptive['lost']} times without a flag, regime {name}."
+            )
+        if not CALIBRATED[0] < adaptive["normalised"] < CALIBRATED[1]:
+            failures.append(
+                "The covariance of Adaptive is not that of its error in the regime "
+                f"{name}: {adaptive['normalised']:.2f}."
+            )
         ours = figures[name]["contenders"]["Lifted"]
         if ours["diverged"]:
             failures.append(f"Lifted diverged {ours['diverged']} times, regime {name}.")
@@ -330,6 +446,11 @@ def main() -> list[str]:
                 f"The covariance of Lifted is not that of its error in the regime {name}: "
                 f"{ours['normalised']:.2f}."
             )
+    for name, regime in silent().items():
+        print(f"  {name}")
+        figures[name] = {"wrong": _said(wrong(regime))}
+        if lost := figures[name]["wrong"]["Adaptive"]["lost"]:
+            failures.append(f"Adaptive is lost {lost} times without a flag, regime {name}.")
     figures["cost"] = found = cost()
     print("  cost of a row, over that of ASLO: " + str(found))
     if found["Lifted"] > COST:

@@ -1,6 +1,7 @@
 """The Kalman filter of a relation through the command line: the noise that it finds, its
 error beside that of the algebraic observer, and what it claims."""
 
+import dataclasses
 import json
 
 import held_logs
@@ -118,6 +119,23 @@ def test_pieces_and_rows_in_doubt(noisy, monkeypatch):
         np.testing.assert_allclose(pieces[name], column, atol=1e-9, err_msg=name)
 
 
+def test_it_finds_parameters_that_are_wrong(noisy, clean, capsys):
+    off = dataclasses.replace(MOTOR, R=1.12 * MOTOR.R, psi=0.985 * MOTOR.psi)
+    adaptive = 'kind = "adaptive"\nbank = 7'
+    machine(noisy, LIFTED, off)
+    ruined = run(noisy)
+    machine(noisy, adaptive, off)
+    found = run(noisy)
+    printed = capsys.readouterr().out
+    assert "pmsm: adaptive, unknown resistance and magnet_flux, 1 substep\n" in printed
+    assert flux_error(found, LATE) < 0.2 * flux_error(ruined, LATE)
+    assert not found["coasting"][LATE].any() and not found["held"][-1]
+    for name, true in (("resistance", MOTOR.R), ("magnet_flux", MOTOR.psi)):
+        deviation = found[f"deviation_{name}"][-1]
+        assert deviation < 0.01 * true
+        assert abs(found[name][-1] - true) < 4.0 * deviation + 2e-3 * true
+
+
 def in_closed_loop(answer, count=20_000):
     """Noise of a current, 20 mA, and what a controller makes of it beside 0.3 V of its
     own."""
@@ -202,6 +220,9 @@ def test_what_is_refused(noisy, capsys, monkeypatch):
         ("prior = 0.1", "`observer.prior` is for `observer.kind"),
         (f"{LIFTED}\nthreshold = 1.5", "`observer.threshold` must be below 1"),
         (f"{LIFTED}\ninput_deviation = -1.0", "positive"),
+        (f"{LIFTED}\nbank = 5", '`observer.bank` is for `observer.kind = "adaptive"`'),
+        ('kind = "adaptive"\nprior = 0.1', "`observer.prior` has no effect with"),
+        ('kind = "adaptive"\nparameters = ["inertia"]', "parameters"),
     ):
         machine(noisy, keys)
         assert message in refused(noisy, capsys), keys

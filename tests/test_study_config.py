@@ -135,6 +135,25 @@ def test_the_lifted_filter_of_a_motor():
     assert float(lifted.prior) == 0.5 and float(lifted.guard.threshold) == 0.9
 
 
+def test_the_adaptive_filter_of_a_motor():
+    table = {
+        "kind": "adaptive",
+        "output_deviation": 0.01,
+        "input_deviation": 0.1,
+        "parameters": ["resistance", "inductance"],
+        "deviations": [0.2, 0.05],
+        "drift": 0.01,
+    }
+    whole = tomllib.loads((FOLDER / "pmsm.toml").read_text("utf-8"))
+    found = configure(whole | {"observers": {"A": table}}).experiment.observers["A"]
+    assert found.parameters == ("resistance", "inductance") and found.bank == 11
+    np.testing.assert_allclose(found.deviations, [0.2, 0.05])
+    assert float(found.drift) == 0.01 and float(found.hold) == 0.03
+    wrong = table | {"parameters": ["resistance", "gap"]}
+    with pytest.raises(ValueError, match="`gap` is none of FluxRelation"):
+        configure(whole | {"observers": {"A": wrong}}).experiment.observers["A"]
+
+
 def test_signals_of_several_entries():
     found = read_configuration("robotic_leg")
     wanted = found.experiment.controller.reference(jnp.asarray(0.5))

@@ -181,6 +181,25 @@ def test_a_step_switches(name):
     assert over_lanes == ("time" not in name and "uniform" not in name)
 
 
+def test_a_branch_may_leave_what_is_always_so_in_the_carry():
+    """A latch: in the body of that branch a boolean is a constant that no step has."""
+
+    def begin(x):
+        return *start(x), x[0] > 9.0
+
+    def advance(k, carry, x):
+        a, b, count, latched = carry
+
+        searching = lambda a, b, so: (series(a, b), count > 2.0 + x[0])
+        settled = lambda a, b, so: (0.5 * a + 0.1 * b, so)
+        a, latched = jax.lax.cond(latched, settled, searching, a, b, latched)
+        return a, 0.9 * b, count + 1.0, latched
+
+    loop = right(begin, advance, lambda carry: (carry[0], carry[3]))
+    _, costly, plain = ends(loop)
+    assert plain < costly - 100
+
+
 def test_of_several_branches_a_step_switches_on_the_one_that_saves_most():
     """Beside and within each other."""
 

@@ -228,13 +228,14 @@ def estimate(
 
 def _substeps(given: int | None, description: Any, path: Path) -> int:
     from ..machines import MachineError
-    from ..machines._lifted import LIFTED, is_lifted
+    from ..machines._lifted import is_lifted, kind_of
 
     if not is_lifted(description.observer):
         return 4 if given is None else given
     if given not in (None, 1):
+        kind = kind_of(description.observer)
         raise MachineError(
-            f'--substeps must be 1 for {path}, whose `observer.kind` is "{LIFTED}": '
+            f'--substeps must be 1 for {path}, whose `observer.kind` is "{kind}": '
             "samples that are interpolated have no noise of their own."
         )
     return 1

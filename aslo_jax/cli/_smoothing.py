@@ -2,7 +2,7 @@
 
 from ..logs import LogReader
 from ..machines import AbstractDescription, MachineError
-from ..machines._lifted import LIFTED, is_lifted
+from ..machines._lifted import LIFTED, kind_of
 
 MOST = 1_000_000  # rows: about a gigabyte of beliefs
 
@@ -12,10 +12,10 @@ def check_smoothing(machine: AbstractDescription, path: str, missing: str) -> No
 
     **Raises:** [`MachineError`][], `ValueError`.
     """
-    if not is_lifted(machine.observer):
+    if kind_of(machine.observer) != LIFTED:
         raise MachineError(
             f'--smooth is for an `observer.kind` of "{LIFTED}", which {path} has not: '
-            "no other observer knows how much to believe of what."
+            "no other observer is smoothed."
         )
     if machine.kind == "magnetic_bearing":
         raise MachineError(

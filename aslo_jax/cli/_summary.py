@@ -10,7 +10,7 @@ from ..diagnosis import of_stamps
 from ..logs import LogReader
 from ..machines import AbstractDescription, Quantity
 from ..machines._base import Rates, relative
-from ..machines._lifted import is_lifted, limit_of, said_of
+from ..machines._lifted import is_adaptive, is_lifted, limit_of, said_of
 from ._table import Piece
 
 
@@ -163,9 +163,13 @@ class Summary:
         names = [name for key in keys if (name := getattr(settings, key, ""))]
         if not is_lifted(settings):
             names.append(f"{getattr(settings, 'start', 'exact')} start")
+        if is_adaptive(settings):
+            names.append(f"unknown {' and '.join(settings.parameters)}")
+        else:
+            names.append(f"threshold {limit_of(settings):g}")
         yield (
-            f"observer for {self.machine.kind}: {', '.join(names)}, threshold "
-            f"{limit_of(settings):g}, {self.substeps} substep"
+            f"observer for {self.machine.kind}: {', '.join(names)}, "
+            f"{self.substeps} substep"
             + ("s" if self.substeps > 1 else "")
             + (", smoothed over the whole log" if self.smoothed else "")
         )

@@ -19,7 +19,7 @@ from ..observers import AbstractObserver, AlgebraicObserver, Asymptotic
 from ..plants import AbstractPlant
 from ..schema import Table, is_rate
 from ._keys import CalibrationTable
-from ._lifted import NO_EFFECT, is_lifted, no_effect
+from ._lifted import NO_EFFECT, is_lifted, kind_of, no_effect
 from ._noise import Groups, Noise, white_noise
 from ._study import Study
 
@@ -292,7 +292,8 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
                     f'`{name}` is not for a machine of the kind "{self.kind}": {reason}.'
                 )
             if is_lifted(self.observer) and name in NO_EFFECT:
-                raise MachineError(no_effect(name).replace("observer.", "", 1) + ".")
+                reason = no_effect(name, kind_of(self.observer))
+                raise MachineError(reason.replace("observer.", "", 1) + ".")
         in_file = {k: getattr(self.observer, k) for k in known}
         return {k: v for k, v in (in_file | dict(given)).items() if v is not None}
 

@@ -1,4 +1,4 @@
-"""The Kalman filter of a machine's relation, where `[observer]` asks for it."""
+"""The Kalman filters of a machine's relation, where `[observer]` asks for one."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, Literal
@@ -9,14 +9,19 @@ from jaxtyping import Float
 from pydantic import Field, model_validator
 
 from .._guard import Guard
-from ..observers import Lifted
+from ..observers import Adaptive, Lifted
 from ..schema import Positive, Table, key
 
-LIFTED = "lifted_kalman"
+LIFTED, ADAPTIVE = "lifted_kalman", "adaptive"
+FILTERS = (LIFTED, ADAPTIVE)
 THRESHOLD = 0.9  # as that of `Lifted`
 NO_EFFECT = ("cutoff", "rotor_cutoff", "forgetting", "gain", "completion", "start")
 ObserverKind = Literal["aslo", "lifted_kalman"]
+MotorKind = Literal["aslo", "lifted_kalman", "adaptive"]
+Parameter = Literal["resistance", "magnet_flux"]
 Deviation = Positive | Annotated[list[Positive], Field(min_length=1)]
+HELD = "held"
+OF_ADAPTIVE = ("parameters", "deviations", "drift", "hold", "bank")
 ALLOWED = "a positive finite number, or one for each column"
 
 
@@ -44,6 +49,28 @@ def prior_key(example: float) -> Any:
     )
 
 
+def adaptive_keys() -> tuple[Any, Any, Any, Any, Any]:
+    """`parameters`, `deviations`, `drift`, `hold` and `bank`."""
+    of = f'with kind = "{ADAPTIVE}": '
+    return (
+        key(
+            f"{of}what is not known, that with the bank first",
+            default=["resistance", "magnet_flux"],
+        ),
+        key(f"{of}relative standard deviations of these", default=[0.1, 0.02]),
+        key(
+            f"{of}relative random walk of these: deviation after a second",
+            "1/sqrt(s)",
+            default=0.0,
+        ),
+        key(
+            f"{of}relative deviation of the first of these above which they may be held",
+            default=0.03,
+        ),
+        key(f"{of}how many values of the first of these", default=11),
+    )
+
+
 class ObserverTable(Table):
     """`[observer]` of a machine whose relation a Kalman filter takes too: with the keys
     `kind`, `output_deviation`, `input_deviation` and `prior`."""
@@ -51,17 +78,22 @@ class ObserverTable(Table):
     @model_validator(mode="after")
     def _have_effect(self):
         given = {k for k in self.model_fields_set if getattr(self, k) is not None}
+        if not is_adaptive(self):
+            for name in OF_ADAPTIVE:
+                # A template has them, as they are by default.
+                field = type(self).model_fields.get(name)
+                if name in given and field and getattr(self, name) != field.default:
+                    raise ValueError(_is_for(name, ADAPTIVE))
         if not is_lifted(self):
             for name in ("output_deviation", "input_deviation", "prior"):
                 if name in given:
-                    raise ValueError(
-                        f'`observer.{name}` is for `observer.kind = "{LIFTED}"`; remove '
-                        "it, or set that"
-                    )
+                    raise ValueError(_is_for(name, LIFTED))
             return self
-        for name in NO_EFFECT:
+        for name in (*NO_EFFECT, *(("prior", "threshold") if is_adaptive(self) else ())):
             if name in given:
-                raise ValueError(no_effect(name))
+                raise ValueError(no_effect(name, kind_of(self)))
+        if is_adaptive(self):
+            return self
         if limit_of(self) >= 1.0:
             raise ValueError(
                 f'`observer.threshold` must be below 1 with `observer.kind = "{LIFTED}"`, '
@@ -70,17 +102,31 @@ class ObserverTable(Table):
         return self
 
 
-def no_effect(name: str) -> str:
-    """Why a key of `[observer]` is refused beside the Kalman filter."""
+def _is_for(name: str, kind: str) -> str:
+    return f'`observer.{name}` is for `observer.kind = "{kind}"`; remove it, or set that'
+
+
+def no_effect(name: str, kind: str = LIFTED) -> str:
+    """Why a key of `[observer]` is refused beside a Kalman filter."""
     return (
-        f'`observer.{name}` has no effect with `observer.kind = "{LIFTED}"`, which has the '
+        f'`observer.{name}` has no effect with `observer.kind = "{kind}"`, which has the '
         "noise of the log in place of rates; remove it"
     )
 
 
+def kind_of(settings: Any) -> str:
+    """What `[observer]` asks for."""
+    return getattr(settings, "kind", "aslo")
+
+
 def is_lifted(settings: Any) -> bool:
-    """Whether `[observer]` asks for the Kalman filter."""
-    return getattr(settings, "kind", "aslo") == LIFTED
+    """Whether `[observer]` asks for a Kalman filter, of known or of unknown parameters."""
+    return kind_of(settings) in FILTERS
+
+
+def is_adaptive(settings: Any) -> bool:
+    """Whether `[observer]` asks for that with unknown parameters."""
+    return kind_of(settings) == ADAPTIVE
 
 
 def limit_of(settings: Any) -> float:
@@ -89,8 +135,8 @@ def limit_of(settings: Any) -> float:
     return THRESHOLD if by_default else settings.threshold
 
 
-def lifted(relation: Callable[..., Any], settings: Any) -> Lifted:
-    """The Kalman filter of a relation.
+def lifted(relation: Callable[..., Any], settings: Any) -> Lifted | Adaptive:
+    """The Kalman filter of a relation, its parameters known or not.
 
     **Raises:** `ValueError` without deviations.
     """
@@ -101,6 +147,17 @@ def lifted(relation: Callable[..., Any], settings: Any) -> Lifted:
                 "that its `with_noise_of(log)` returns."
             )
     array = lambda x: jnp.asarray(x, float)
+    if is_adaptive(settings):
+        return Adaptive(
+            relation,
+            array(settings.output_deviation),
+            array(settings.input_deviation),
+            tuple(settings.parameters),
+            tuple(settings.deviations),
+            settings.drift,
+            settings.hold,
+            settings.bank,
+        )
     return Lifted(
         relation,
         array(settings.output_deviation),
@@ -108,6 +165,24 @@ def lifted(relation: Callable[..., Any], settings: Any) -> Lifted:
         prior=settings.prior,
         guard=Guard(limit_of(settings)),
     )
+
+
+def parameters_of(settings: Any, estimate: Any) -> dict[str, Float[np.ndarray, " N"]]:
+    """The columns of the parameters that an estimate has found, their deviations, and
+    whether they are held."""
+    if not is_adaptive(settings):
+        return {}
+    found: dict[str, Any] = {}
+    variances = np.diagonal(np.asarray(estimate.parameter_covariance), axis1=1, axis2=2)
+    for k, name in enumerate(settings.parameters):
+        found[name] = np.asarray(estimate.parameters)[:, k]
+        found[f"deviation_{name}"] = np.sqrt(np.maximum(variances[:, k], 0.0))
+    return found | {HELD: np.asarray(estimate.held).astype(float)}
+
+
+def parameter_columns(settings: Any) -> list[str]:
+    """The names of the columns of [`parameters_of`][] that are not deviations."""
+    return [*settings.parameters, HELD] if is_adaptive(settings) else []
 
 
 def deviations_of(

@@ -43,6 +43,7 @@ class PMSMDescription(motor.AbstractRoundMotor[PMSMTable]):
         observers=offers.algebraic(_relations)
         | offers.integrator(_relations)
         | offers.lifted(_relations)
+        | offers.adaptive(_relations)
         | offers.mixing(_relations)
         | offers.of_round_motor(),
         controls=("field_oriented",),

@@ -3,11 +3,11 @@ description of one without saliency."""
 
 import abc
 from collections.abc import Mapping
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from ..logs import Log, Signals
 from ..observers import AbstractObserver
@@ -26,7 +26,14 @@ from ._base import (
     certified,
     in_columns,
 )
-from ._lifted import ObserverTable, deviations_of, is_lifted, lifted, turning_deviation
+from ._lifted import (
+    ObserverTable,
+    deviations_of,
+    is_lifted,
+    lifted,
+    parameters_of,
+    turning_deviation,
+)
 from ._noise import white_noise
 from ._speed import cutoff_for, slow_speed, turning_acceleration, turning_speed, two_rates
 
@@ -47,6 +54,9 @@ LAYOUT = Layout(
 )
 
 
+_PARAMETERS, _DEVIATIONS, _DRIFT, _HOLD, _BANK = _lifted.adaptive_keys()
+
+
 class MotorObserver(ObserverTable):
     """`[observer]` of a motor without saliency, all optional.
 
@@ -61,11 +71,16 @@ class MotorObserver(ObserverTable):
     gain: Positive | None = keys.gain()
     threshold: Positive = keys.threshold()
     pll_bandwidth: Positive | None = keys.pll_bandwidth()
-    kind: _lifted.ObserverKind = _lifted.kind_key()
+    kind: _lifted.MotorKind = _lifted.kind_key()
     output_deviation: _lifted.Deviation | None = _lifted.deviation_key("currents", 0.01)
     input_deviation: _lifted.Deviation | None = _lifted.deviation_key("voltages", 0.1)
     prior: Positive | None = _lifted.prior_key(0.2)
     forgetting: Positive | None = keys.forgetting()
+    parameters: list[_lifted.Parameter] = _PARAMETERS
+    deviations: list[Positive] = _DEVIATIONS
+    drift: NonNegative = _DRIFT
+    hold: Positive = _HOLD
+    bank: Annotated[int, Field(ge=3)] = _BANK
 
     @model_validator(mode="after")
     def _forgets(self):
@@ -153,7 +168,8 @@ def motor_columns(
         return found
     noise = inductance * np.asarray(settings.output_deviation)
     deviation = turning_deviation(estimate, magnet, noise)
-    return found | deviations_of(FLUX, estimate) | {f"deviation_{ANGLE}": deviation}
+    found |= deviations_of(FLUX, estimate) | {f"deviation_{ANGLE}": deviation}
+    return found | parameters_of(settings, estimate)
 
 
 def motor_truth(log: Log, pole_pairs: int) -> Columns:

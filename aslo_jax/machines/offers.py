@@ -17,6 +17,7 @@ from ..observers import (
     FO2,
     FO3,
     AbstractObserver,
+    Adaptive,
     AlgebraicObserver,
     Asymptotic,
     ExtendedKalman,
@@ -112,6 +113,26 @@ def lifted(relations: Relations) -> dict[str, Build]:
         )
 
     return {"lifted_kalman": build}
+
+
+def adaptive(relations: Relations) -> dict[str, Build]:
+    """The Kalman filter of the plant's relation with unknown parameters."""
+
+    def build(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        del start
+        (relation,) = relations(plant)
+        return Adaptive(
+            relation,
+            keys.output_deviation,
+            keys.input_deviation,
+            tuple(keys.parameters),
+            tuple(keys.deviations),
+            keys.drift,
+            keys.hold,
+            keys.bank,
+        )
+
+    return {"adaptive": build}
 
 
 def mixing(relations: Relations) -> dict[str, Build]:

@@ -1,5 +1,6 @@
 """Observers: the protocol, the algebraic ones, their peers, and compositions."""
 
+from ._adaptive import Adaptive as Adaptive, AdaptiveEstimate as AdaptiveEstimate
 from ._algebraic import AlgebraicObserver as AlgebraicObserver
 from ._angle import (
     AlgebraicMagnet as AlgebraicMagnet,
@@ -53,6 +54,8 @@ __all__ = [
     "FO3",
     "AbstractModel",
     "AbstractObserver",
+    "Adaptive",
+    "AdaptiveEstimate",
     "AlgebraicMagnet",
     "AlgebraicObserver",
     "Asymptotic",

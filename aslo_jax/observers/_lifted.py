@@ -135,16 +135,23 @@ class Lifted(AbstractObserver):
     ) -> Float[Array, ""]:
         """From 0, where x is not known, to 1."""
         n = x.shape[0]
-        curved = [row for row in rows if isinstance(row, Quadratic)]
+        curved = tuple(row for row in rows if isinstance(row, Quadratic))
         if curved:
-            size: Any = 0
-            variance: Any = 0
-            for row in curved:
-                Q = quadratic(row, n)
-                gradient = [less(dot(q, entries(x)), row.c[i]) for i, q in enumerate(Q)]
-                size = plus(size, dot(gradient, gradient))
-                variance = plus(variance, trace(product(Q, Q), P))
-            return size / (size + variance)
+            return curved_certificate(curved, x, P)
         first = self.law.variance(n, x.dtype)
         worst = jnp.max(jnp.stack([P[i][i] / first[i] for i in range(n)]))
         return 1.0 / (1.0 + worst)
+
+
+def curved_certificate(
+    rows: tuple[Quadratic, ...], x: Float[Array, " n"], P: Rows
+) -> Float[Array, ""]:
+    """`1/(1 + r)`, r the variance of `Q x` beside the square of `Q x - c`."""
+    size: Any = 0
+    variance: Any = 0
+    for row in rows:
+        Q = quadratic(row, x.shape[0])
+        gradient = [less(dot(q, entries(x)), row.c[i]) for i, q in enumerate(Q)]
+        size = plus(size, dot(gradient, gradient))
+        variance = plus(variance, trace(product(Q, Q), P))
+    return size / (size + variance)

@@ -43,6 +43,8 @@ class Body:
         self.loop, graph = loop, loop.graph
         self.nodes = graph.nodes
         self.varies = varying(graph, loop.needed())
+        if loop.switches:  # what a condition that is known may leave in its place
+            self.varies |= {graph.const(b, BOOL): (False, False) for b in (0, 1)}
         whole = graph.reachable(list(loop.carry))
         step = self.moving(whole)
         rest = set(graph.reachable(list(loop.record))) - set(whole)
@@ -105,7 +107,6 @@ class Body:
             record=tuple(left.same[n] for n in self.loop.record),
         )
         made.nodes = left.nodes
-        made.varies = self.varies | {graph.const(b, BOOL): (False, False) for b in (0, 1)}
         made.record = [n for n in self.record if n in left.nodes]
         needed = {a for n in made.record for a in left.nodes[n].args}
         vectors = left.nodes.keys() & set(self.orders[0])

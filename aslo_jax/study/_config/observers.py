@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from ...schema import Positive, Table, key
+from ...schema import NonNegative, Positive, Table, key
 
 Deviation = Positive | Annotated[list[Positive], Field(min_length=1)]
 DEVIATION = "a positive finite number, or one for each entry of the signal"
@@ -130,6 +130,37 @@ class LiftedTable(AbstractObserverTable):
     )
 
 
+class AdaptiveTable(AbstractObserverTable):
+    """The Kalman filter of the plant's relation with unknown parameters."""
+
+    kind: Literal["adaptive"] = key("the kind of observer")
+    output_deviation: Deviation = key(
+        "standard deviation of the noise on every sample of the output (its unit)",
+        allowed=DEVIATION,
+    )
+    input_deviation: Deviation = key(
+        "standard deviation of the noise on every sample of the input (its unit)",
+        allowed=DEVIATION,
+    )
+    parameters: list[str] = key(
+        "what is not known, by name, that with the bank first",
+        default=["resistance", "magnet_flux"],
+    )
+    deviations: list[Positive] = key(
+        "relative standard deviations of these", default=[0.1, 0.02]
+    )
+    drift: NonNegative = key(
+        "relative random walk of these: deviation after a second (1/sqrt(s))", default=0.0
+    )
+    hold: Positive = key(
+        "relative deviation of the first of these above which they may be held",
+        default=0.03,
+    )
+    bank: Annotated[int, Field(ge=3)] = key(
+        "how many values of the first of these", default=11
+    )
+
+
 Gains = Positive | Annotated[list[Positive], Field(min_length=1)]
 GAINS = "a positive finite number, or one for each coordinate"
 
@@ -166,6 +197,7 @@ Observer = Annotated[
     | LuenbergerTable
     | KalmanTable
     | LiftedTable
+    | AdaptiveTable
     | HighGainTable
     | SuperTwistingTable
     | DerivativeTable,

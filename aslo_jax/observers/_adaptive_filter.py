@@ -1,0 +1,349 @@
+"""The filter of [`Adaptive`][], as a law that a state follows: first algebraic fits over a
+bank of parameters, then one Kalman filter for each of them, then one for all."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float
+
+from .._filters import AbstractLaw
+from .._typing import PyTree
+from ._adaptive_model import Model, distance, slope_by_y, turned
+from ._adaptive_start import Fit, Found, emptied, fitted, joined
+
+# The bank covers so many deviations of the first parameter, and each of its filters so much
+# of what is between two of them.
+REACH, OVERLAP = 3.0, 0.7
+MOST, ENOUGH = 0.96, 0.6  # of the bank: certain, at once or after
+PATIENCE = 2.5  # times the samples that it took
+WIDENED = 64.0  # times the shortest window
+SMOOTHING = 50.0  # rad/s, of the y in slopes, in the frame that turns with the row
+MERGING = 1.0  # s, the least that the bank is kept
+ALIVE = 1e-3  # the weight of a rival
+AGREE = 0.8  # the cosine between directions of one solution
+# Below so many times the variance of noise alone, what is not known of x counts for nothing
+# against a member: ten thousand samples make much of a thousandth of a variance.
+LEAST = 1.3
+LEARNING = 0.3  # s in which information must come to be more than what noise feigns
+AVERAGE = 0.05  # s
+
+
+class Member(NamedTuple):
+    """Kalman filters: `mean` of x and the relative errors of the parameters, shape
+    `(n + q,)`, and their covariance; y for slopes, and its direction in the row, shape
+    `(p,)`; the logarithm of a weight."""
+
+    mean: Float[Array, "*j N"]
+    covariance: Float[Array, "*j N N"]
+    smooth: Float[Array, "*j p"]
+    direction: Float[Array, "*j p"]
+    score: Float[Array, "*j"]
+
+
+class AdaptiveBelief(NamedTuple):
+    """`fits` and `members` of the bank, and the `one` that is left of them; the samples
+    that the fits have, the length of their window, when enough of them were certain (0
+    before); whether the filters have `started`, and how long ago (s); whether they are
+    `merged`; how fast they learn of the first parameter (1/s) and whether the parameters
+    are held; mean and covariance of all members that agree with the best, and the weight of
+    the others."""
+
+    fits: Fit
+    members: Member
+    one: Member
+    samples: Float[Array, ""]
+    window: Float[Array, ""]
+    enough: Float[Array, ""]
+    started: Bool[Array, ""]
+    age: Float[Array, ""]
+    merged: Bool[Array, ""]
+    learning: Float[Array, ""]
+    held: Bool[Array, ""]
+    mean: Float[Array, " N"]
+    covariance: Float[Array, "N N"]
+    rivals: Float[Array, ""]
+
+
+class AdaptiveKalman(AbstractLaw):
+    """The belief, driven by `(u, y, missing)`."""
+
+    model: Model
+    deviations: Float[Array, " q"]
+    drift: Float[Array, " q"]
+    hold: Float[Array, ""]
+    initial: Float[Array, " n"] | None
+    bank: int = eqx.field(static=True)
+
+    def grid(self) -> Float[Array, " j"]:
+        """The relative errors of the first parameter in the bank."""
+        places = jnp.linspace(-1.0, 1.0, self.bank, dtype=self.deviations.dtype)
+        return REACH * self.deviations[0] * places
+
+    def errors(self, first: Array) -> Float[Array, " q"]:
+        """Those of all parameters where the first one has this."""
+        return jnp.zeros_like(self.deviations).at[0].set(first)
+
+    def start(self, u: PyTree, y: PyTree) -> AdaptiveBelief:
+        """The first belief, with the first y."""
+        dtype = self.model.dtype(u, y)
+        z = self.model.row(self.errors(jnp.zeros((), dtype)), u, y).z
+        n, q, J = z.shape[0], self.deviations.shape[0], self.bank
+        smooth, _ = ravel_pytree(y)
+        zero, no = jnp.zeros((), dtype), jnp.asarray(False)
+        x = jnp.zeros_like(z) if self.initial is None else self.initial.astype(dtype)
+        mean = jnp.concatenate([x, jnp.zeros(q, dtype)])
+        vague = jnp.full(n, 1.0 / float(jnp.finfo(dtype).eps), dtype)
+        P = jnp.diag(jnp.concatenate([vague, self.deviations.astype(dtype) ** 2]))
+        alike = lambda a: jnp.broadcast_to(a, (J, *a.shape))
+        unit = jnp.zeros_like(smooth).at[0].set(1.0)
+        one = Member(mean, jnp.eye(n + q, dtype=dtype), smooth, unit, zero)
+        join = lambda e: joined(emptied(z), self.model, self.errors(e), u, y)
+        return AdaptiveBelief(
+            jax.vmap(join)(self.grid()),
+            jax.tree.map(alike, one),
+            one,
+            zero + 1.0,
+            zero,
+            zero,
+            no,
+            zero,
+            no,
+            zero,
+            no,
+            mean,
+            P,
+            zero + 1.0,
+        )
+
+    def flow(self, X: PyTree, v: PyTree) -> Any:
+        del v
+        return jax.tree.map(jnp.zeros_like, X)
+
+    def discretise(self, h: Any) -> Any:
+        return h
+
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> Any:
+        (u, y0, _), (_, y1, missing) = v0, v1
+        h = jnp.asarray(coefficients, X.mean.dtype)
+        sample = u, y0, y1, missing, h
+        settled = lambda X: self._settled(X, sample)
+        compete, begin = (
+            lambda X: self._compete(X, sample),
+            lambda X: self._begin(X, sample),
+        )
+        others = lambda X: jax.lax.cond(X.started, compete, begin, X)
+        return jax.lax.cond(X.merged, settled, others, X)
+
+    def _settled(self, X: AdaptiveBelief, sample: Any) -> AdaptiveBelief:
+        """One filter; what it came from stays as it was."""
+        one, learning, held = self._step(X.one, X.age, X.learning, sample, holding=True)
+        return X._replace(
+            one=one,
+            age=X.age + sample[-1],
+            learning=learning,
+            held=held,
+            mean=one.mean,
+            covariance=one.covariance,
+        )
+
+    def _compete(self, X: AdaptiveBelief, sample: Any) -> AdaptiveBelief:
+        """A filter for each member; they merge where no rival is left."""
+        step = lambda m: self._step(m, X.age, X.learning, sample, holding=False)[0]
+        members = jax.vmap(step)(X.members)
+        members = members._replace(score=members.score - jnp.max(members.score))
+        mean, P, rivals, best = _agreed(members)
+        age = X.age + sample[-1]
+        merged = (age >= MERGING) & (rivals < ALIVE)
+        smooth, direction = best @ members.smooth, best @ members.direction
+        one = Member(mean, P, smooth, direction, jnp.zeros_like(age))
+        return X._replace(
+            members=members,
+            one=one,
+            age=age,
+            merged=merged,
+            mean=mean,
+            covariance=P,
+            rivals=jnp.where(merged, 0.0, rivals),
+        )
+
+    def _begin(self, X: AdaptiveBelief, sample: Any) -> AdaptiveBelief:
+        """Fits, from which the filters start where they are certain."""
+        u, y0, y1, missing, h = sample
+        model, grid = self.model, self.grid()
+
+        def onward(fit, e):
+            errors = self.errors(e)
+            z = model.row(errors, u, y0).z + model.row(errors, u, y1).z
+            fit = fit._replace(moved=fit.moved + 0.5 * h * z)
+            with_y = joined(fit, model, errors, u, y1)
+            return jax.tree.map(lambda a, b: jnp.where(missing, a, b), fit, with_y)
+
+        fits = jax.vmap(onward)(X.fits, grid)
+        count = X.samples + jnp.where(missing, 0.0, 1.0)
+        fit = lambda f, e: fitted(f, count, model, self.errors(e), u, y1, h)
+        found = jax.vmap(fit)(fits, grid)
+        share = jnp.mean(found.certain.astype(count.dtype))
+        enough = jnp.where((X.enough == 0.0) & (share > ENOUGH), count, X.enough)
+        late = (enough > 0.0) & (count >= PATIENCE * enough)
+        started = ((share > MOST) | late) & ~missing
+        # Where nothing has turned within a window, the next one is longer.
+        shortest = jnp.min(2.0 * found.steady)
+        window = jnp.maximum(X.window, shortest)
+        over = (count >= window) & (enough == 0.0)
+        window = jnp.where(over, jnp.minimum(2.0 * window, WIDENED * shortest), window)
+        fits = jax.tree.map(lambda a: jnp.where(over, 0.0, a), fits)
+        members = self._members(found, X.members, u, y1)
+        initial = X.mean[: found.x.shape[1]]
+        z = model.row(self.errors(0.0 * h), u, y0).z
+        z = z + model.row(self.errors(0.0 * h), u, y1).z
+        mean = X.mean.at[: initial.shape[0]].set(initial + 0.5 * h * z)
+        best = _agreed(members)
+        return X._replace(
+            fits=fits,
+            members=jax.tree.map(lambda a, b: jnp.where(started, a, b), members, X.members),
+            samples=jnp.where(over, 0.0, count),
+            window=window,
+            enough=enough,
+            started=started,
+            mean=jnp.where(started, best[0], mean),
+            covariance=jnp.where(started, best[1], X.covariance),
+            rivals=jnp.where(started, best[2], 1.0),
+        )
+
+    def _members(self, found: Found, like: Member, u: PyTree, y: PyTree) -> Member:
+        """The filters at their start, from the fits."""
+        grid, n = self.grid(), found.x.shape[1]
+        spacing = grid[1] - grid[0]
+        of_first = (OVERLAP * spacing) ** 2
+        x = jnp.where(found.certain[:, None], found.x, like.mean[:, :n])
+        along = _slopes(x) / spacing  # how x depends on the first parameter
+        bent = 0.5 * OVERLAP**2 * _bends(x)  # and what of that is not a straight line
+        flat, _ = ravel_pytree(y)
+
+        def member(x, certain, P, e, along, bent):
+            mean = jnp.concatenate([x, self.errors(e)])
+            by_first = jnp.concatenate([along, self.errors(jnp.ones_like(e))])
+            rest = self.errors(0.0 * e).at[1:].set(self.deviations[1:] ** 2)
+            own = jnp.zeros((mean.size, mean.size), mean.dtype)
+            P = P + bent[:, None] * bent
+            own = own.at[:n, :n].set(jnp.where(certain, P, jnp.eye(n, dtype=P.dtype)))
+            own = own + jnp.diag(jnp.concatenate([jnp.zeros(n, mean.dtype), rest]))
+            P = own + by_first[:, None] * by_first * of_first
+            direction, _ = slope_by_y(self.model, mean, u, y)
+            prior = -0.5 * (e / self.deviations[0]) ** 2
+            score = jnp.where(certain, prior, -1e6)
+            return Member(mean, P, flat, direction, score)
+
+        return jax.vmap(member)(x, found.certain, found.covariance, grid, along, bent)
+
+    def _step(
+        self, m: Member, age: Array, learning: Array, sample: Any, holding: bool
+    ) -> tuple[Member, Array, Array]:
+        """One filter over an interval and with the y at its end."""
+        u, y0, y1, missing, h = sample
+        model, q = self.model, self.deviations.shape[0]
+        flat, unflat = ravel_pytree(y1)
+        n = m.mean.shape[0] - q
+        x, errors, P = m.mean[:n], m.mean[n:], m.covariance
+        z_of = lambda e, y: model.row(e, u, y).z
+        moved = x + 0.5 * h * (z_of(errors, y0) + z_of(errors, y1))
+        mean = jnp.concatenate([moved, errors])
+        entry = model.entry(errors, u, y1)
+        by_errors = h * jax.jacfwd(lambda e: z_of(e, unflat(m.smooth)))(errors)
+        # P of (x + by_errors errors, errors).
+        cross = P[:n, n:] + by_errors @ P[n:, n:]
+        square = P[:n, :n] + by_errors @ P[:n, n:].T + cross @ by_errors.T
+        # Each y is in the two intervals that it is between, a half in each.
+        by_u, by_y = h * entry.z_by_u, 0.5 * h * entry.z_by_y
+        square = square + by_u @ by_u.T + by_y @ by_y.T
+        own = P[n:, n:] + h * jnp.diag(self.drift**2)
+        P = _bordered(square, cross, own)
+
+        smooth, before = m.smooth, m.direction
+        # y turns with the row, whose direction depends on it: twice is enough.
+        after, _ = slope_by_y(model, mean, u, unflat(smooth))
+        after, _ = slope_by_y(model, mean, u, unflat(turned(smooth, before, after)))
+        smooth = turned(smooth, before, after)
+        d = distance(model, mean, u, y1, smooth)
+        bent = d.curvature @ P[:n, :n]
+        shared = jnp.concatenate([by_y @ d.direction, jnp.zeros(q, P.dtype)])
+        Pa = P @ d.slope + shared
+        S = jnp.sum(d.slope * (Pa + shared)) + 1.0 + 0.5 * jnp.trace(bent @ bent)
+        surprise = d.value - d.mean - 0.5 * jnp.trace(bent)
+        told = d.slope[:n] @ by_y + d.direction  # of the noise of y by a distance
+        full = Pa / S
+        gain, held = full, jnp.asarray(False)
+        if holding:
+            share = (full[n] / P[n, n]) ** 2 * S / h
+            learning = learning + jnp.minimum(h / AVERAGE, 1.0) * (share - learning)
+            held = P[n, n] > self.hold**2
+            held = held & (learning * self.hold**2 * LEARNING < 1.0)
+            gain = gain.at[n:].set(jnp.where(held, 0.0, gain[n:]))
+        seen = jnp.where(missing, 0.0, 1.0)
+        both = gain[:, None] * full
+        drop = both + both.T - gain[:, None] * gain
+        mean, P = mean - seen * gain * surprise, P - seen * S * drop
+        # The other half, of which the distance has told.
+        rest = jnp.eye(told.size, dtype=P.dtype) - told[:, None] * told / S
+        common = by_y @ (by_y.T - told[:, None] * full[:n])
+        inner = common + common.T + by_y @ rest @ by_y.T
+        aside = -(by_y @ told)[:, None] * full[n:]
+        P = P + seen * _bordered(inner, aside)
+        mean = mean.at[:n].add(-seen * by_y @ told * surprise / S)
+        weight = jnp.clip(h * jnp.maximum(SMOOTHING, 1.0 / (age + h)), 0.0, 1.0)
+        # What noise of the samples alone would do differs from member to member, and with
+        # it how likely any y is, by as much: that cancels.
+        over = jnp.maximum(S / jnp.sum(told * told), LEAST)
+        loss = 0.5 * (surprise * surprise / S + jnp.log(over))
+        found = Member(
+            mean,
+            P,
+            smooth + seen * weight * (flat - smooth),
+            after,
+            m.score - seen * loss,
+        )
+        return found, learning, held
+
+
+def _bordered(square: Array, cross: Array, own: Array | float = 0.0) -> Array:
+    """A symmetric matrix of its parts: of x, of x with the parameters, of these."""
+    q = cross.shape[1]
+    own = jnp.broadcast_to(jnp.asarray(own, cross.dtype), (q, q))
+    upper = jnp.concatenate([square, cross], axis=1)
+    return jnp.concatenate([upper, jnp.concatenate([cross.T, own], axis=1)])
+
+
+def _slopes(x: Float[Array, "j n"]) -> Float[Array, "j n"]:
+    """By how much it changes from one member to the next, at each."""
+    steps = x[1:] - x[:-1]
+    inner = 0.5 * (steps[1:] + steps[:-1])
+    return jnp.concatenate([steps[:1], inner, steps[-1:]])
+
+
+def _bends(x: Float[Array, "j n"]) -> Float[Array, "j n"]:
+    """Its second differences, at each member."""
+    inner = x[2:] - 2.0 * x[1:-1] + x[:-2]
+    return jnp.concatenate([inner[:1], inner, inner[-1:]])
+
+
+def _agreed(
+    members: Member,
+) -> tuple[Float[Array, " N"], Float[Array, "N N"], Float[Array, ""], Float[Array, " j"]]:
+    """Mean and covariance of the members that agree with the best on the direction of the
+    row, the weight of the others, and which is the best."""
+    top = jnp.max(members.score)
+    best = (members.score == top).astype(top.dtype)
+    best = best / jnp.sum(best)
+    weight = jnp.exp(members.score - top)
+    cosine = members.direction @ (best @ members.direction)
+    same = jnp.where(cosine > AGREE, weight, 0.0)
+    total = jnp.sum(same)
+    share = same / total
+    mean = share @ members.mean
+    away = members.mean - mean
+    spread = members.covariance + away[:, :, None] * away[:, None, :]
+    P = jnp.sum(share[:, None, None] * spread, axis=0)
+    return mean, P, 1.0 - total / jnp.sum(weight), best
