@@ -298,3 +298,20 @@ def test_its_covariance_is_that_of_its_error_over_many_seeds():
     P = jnp.diagonal(found.parameter_covariance[:, -1], axis1=1, axis2=2)
     off = (found.parameters[:, -1] - np.array([R, M])) / jnp.sqrt(P)
     assert jnp.all((jnp.mean(off**2, axis=0) > 0.7) & (jnp.mean(off**2, axis=0) < 1.4))
+
+
+@pytest.mark.parametrize("rows", [40, 900])
+def test_after_a_hole_its_deviations_hold_where_it_is_not_flagged(rows):
+    """A twentieth of a turn and more than one; it starts again, and comes back."""
+    t, u, y, flux = record(turning, 1.8, 11)
+    first = round(1.3 / H)
+    u, y = u.copy(), y.copy()
+    u[first : first + rows] = y[first : first + rows] = np.nan
+    found = aslo.replay(observer(bank=5), t, u, y, missing="coast")
+    after = slice(first + rows, None)
+    trusted = ~np.asarray(found.coasting)[after]
+    assert np.asarray(found.coasting)[first + 1 : first + rows].all()
+    assert trusted[-200:].all()
+    error = (np.asarray(found.value) - flux)[after][trusted]
+    claim = np.trace(found.covariance, axis1=1, axis2=2)[after][trusted]
+    assert np.max(np.sum(error**2, axis=1) / claim) < 16.0

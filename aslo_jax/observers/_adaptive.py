@@ -15,6 +15,7 @@ from ._adaptive_filter import ALIVE, REACH, AdaptiveKalman
 from ._adaptive_model import Model
 from ._base import AbstractObserver, Estimate
 from ._lifted import _deviation, curved_certificate
+from ._lifted_filter import Run
 from ._lifting import entries
 
 IMPROBABLE = 5.0  # deviations of a parameter
@@ -66,7 +67,9 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
     resistance whose magnet points the other way has the very same currents and voltages.
     So it is while a parameter is found 5 of its `deviations` away: that is no solution.
     Its certificate is that of [`Lifted`][], and 0 before the start. Where a sample is
-    missing it is carried along the known derivative, and says so.
+    missing it is carried along the known derivative, and says so; its covariance grows as
+    if all that is held in place of the sample were wrong, and once x may be off by a tenth
+    of its size, the bank starts again.
 
     A parameter must not be off by more than the bank covers, and at least one must be known
     a priori to some per cent: at a constant speed the resistance is known by the magnet
@@ -160,8 +163,11 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> AdaptiveEstimate:
         law = self.law
-        missing = jnp.asarray(False) if F.certain else F.missing
-        belief = F.evolve(law, (u, y, missing), law.start(u, y), "belief")
+        none = jnp.zeros((), law.model.dtype(u, y))
+        missing = none if F.certain else F.missing.astype(none.dtype)
+        hole = F.evolve(Run(), missing, none, "hole")
+        drive = (u, y, None if F.certain else hole)
+        belief = F.evolve(law, drive, law.start(u, y), "belief")
         model, q = law.model, len(self.parameters)
         n = belief.mean.shape[0] - q
         x, P = belief.mean[:n], belief.covariance

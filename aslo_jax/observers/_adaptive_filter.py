@@ -29,6 +29,7 @@ AGREE = 0.8  # the cosine between directions of one solution
 LEAST = 1.3
 LEARNING = 0.3  # s in which information must come to be more than what noise feigns
 AVERAGE = 0.05  # s
+FAR = 0.1  # of its size: an x that may be off by so much in a hole is begun again
 
 
 class Member(NamedTuple):
@@ -68,7 +69,8 @@ class AdaptiveBelief(NamedTuple):
 
 
 class AdaptiveKalman(AbstractLaw):
-    """The belief, driven by `(u, y, missing)`."""
+    """The belief, driven by `(u, y, hole)`: how many samples in a row are missing, up to
+    this one; `None` where none can be."""
 
     model: Model
     deviations: Float[Array, " q"]
@@ -126,16 +128,24 @@ class AdaptiveKalman(AbstractLaw):
         return h
 
     def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> Any:
-        (u, y0, _), (_, y1, missing) = v0, v1
+        (u, y0, before), (_, y1, hole) = v0, v1
         h = jnp.asarray(coefficients, X.mean.dtype)
-        sample = u, y0, y1, missing, h
+        sample = u, y0, y1, jnp.zeros_like(h) if hole is None else hole, h
         settled = lambda X: self._settled(X, sample)
         compete, begin = (
             lambda X: self._compete(X, sample),
             lambda X: self._begin(X, sample),
         )
         others = lambda X: jax.lax.cond(X.started, compete, begin, X)
-        return jax.lax.cond(X.merged, settled, others, X)
+        X = jax.lax.cond(X.merged, settled, others, X)
+        if hole is None:
+            return X
+        n = X.mean.shape[0] - self.deviations.shape[0]
+        unknown = jnp.trace(X.covariance[:n, :n]) > FAR**2 * jnp.sum(X.mean[:n] ** 2)
+        again = lambda X: self.start(u, y1)._replace(mean=X.mean)
+        # Until the first sample after the hole, with which the fits begin.
+        beside = (hole > 0.0) | (before > 0.0)
+        return jax.lax.cond(beside & (unknown | ~X.started), again, lambda X: X, X)
 
     def _settled(self, X: AdaptiveBelief, sample: Any) -> AdaptiveBelief:
         """One filter; what it came from stays as it was."""
@@ -171,7 +181,8 @@ class AdaptiveKalman(AbstractLaw):
 
     def _begin(self, X: AdaptiveBelief, sample: Any) -> AdaptiveBelief:
         """Fits, from which the filters start where they are certain."""
-        u, y0, y1, missing, h = sample
+        u, y0, y1, hole, h = sample
+        missing = hole > 0.0
         model, grid = self.model, self.grid()
 
         def onward(fit, e):
@@ -243,7 +254,8 @@ class AdaptiveKalman(AbstractLaw):
         self, m: Member, age: Array, learning: Array, sample: Any, holding: bool
     ) -> tuple[Member, Array, Array]:
         """One filter over an interval and with the y at its end."""
-        u, y0, y1, missing, h = sample
+        u, y0, y1, hole, h = sample
+        missing = hole > 0.0
         model, q = self.model, self.deviations.shape[0]
         flat, unflat = ravel_pytree(y1)
         n = m.mean.shape[0] - q
@@ -259,6 +271,9 @@ class AdaptiveKalman(AbstractLaw):
         # Each y is in the two intervals that it is between, a half in each.
         by_u, by_y = h * entry.z_by_u, 0.5 * h * entry.z_by_y
         square = square + by_u @ by_u.T + by_y @ by_y.T
+        # All that is held over a hole may be wrong, in the same way from end to end.
+        lost = jnp.maximum(2.0 * hole - 1.0, 0.0) * jnp.sum((moved - x) ** 2)
+        square = square + lost * jnp.eye(n, dtype=square.dtype)
         own = P[n:, n:] + h * jnp.diag(self.drift**2)
         P = _bordered(square, cross, own)
 
