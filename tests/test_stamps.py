@@ -29,6 +29,26 @@ def test_missing_rows_of_an_even_log_are_not_rounded():
     assert kinds(2e-4 * ROWS[kept]) == []
 
 
+def test_steps_of_about_an_interval_are_coarse_instants_and_not_missing_rows(tmp_path):
+    """A clock that ticks a little faster than rows come skips a tick now and then."""
+    t = (2.5e-4 * ROWS + 4000.0).astype(np.float32).astype(float)
+    assert kinds(t) == ["coarse_time"]
+    assert kinds(np.round(1.02e-3 * ROWS, 3)) == ["coarse_time"]
+    kept = np.random.default_rng(2).random(ROWS.size) > 0.003
+    assert kinds(np.round(1e-3 * ROWS[kept], 3)) == []
+    log = in_alpha_beta(noisy(run(SERVO, "rich"), SERVO, 1, 0.003))
+    single = (2.5 * log["t"] + 4000.0).astype(np.float32).astype(float)
+    found, _ = estimated(tmp_path, SERVO, log | {"t": single})
+    assert "missing_rows" not in [warning["kind"] for warning in found["warnings"]]
+
+
+def test_rows_that_coast_for_a_cause_that_is_named_are_not_named_again(tmp_path):
+    log = in_alpha_beta(noisy(run(SERVO, "rich"), SERVO, 1, 0.003))
+    for factor in (1e3, 1e9):
+        found, _ = estimated(tmp_path, SERVO, log | {"t": factor * log["t"]})
+        assert [warning["kind"] for warning in found["warnings"]] == ["time_unit"]
+
+
 def test_rounded_instants_are_named():
     t = np.round(2.5e-4 * ROWS + 1e-6, 4)
     (warning,) = of_stamps(t, 5e-3).warnings

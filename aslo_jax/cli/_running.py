@@ -25,6 +25,9 @@ from ._summary import Summary
 from ._table import Estimator
 from ._trace import Trace
 
+# Kinds of what makes the rows of a log coast, which need not be said twice.
+EXPLAIN = ("time_unit", "current_unit", "voltage_unit", "resistance_unit")
+
 
 @dataclasses.dataclass(frozen=True)
 class Done:
@@ -43,8 +46,10 @@ class Done:
             yield "slow_engine", self.slow, ()
         for finding in self.diagnosis.warnings:
             yield finding.kind, finding.message, finding.rows
+        known = any(f.kind in EXPLAIN for f in self.diagnosis.warnings)
         for kind, message in self.summary.warnings():
-            yield kind, message, ()
+            if not (known and kind in ("not_certified", "mostly_coasting")):
+                yield kind, message, ()
 
 
 def opened(
@@ -162,10 +167,18 @@ def tabulated(
             if any(finding.kind == "time_unit" for finding in stamps.warnings):
                 # What else seems wrong, and is told in seconds, follows from that.
                 verdict = dataclasses.replace(verdict, warnings=())
+            if any(finding.kind == "coarse_time" for finding in stamps.warnings):
+                verdict = _of_even_rows(verdict)
             verdict = stamps + verdict
             for part in (*motions.values(), *truths.values()):
                 verdict = verdict + part.diagnosis()
             return Done(summary, trace, verdict, names, estimator.observed.slow)
+
+
+def _of_even_rows(verdict: Diagnosis) -> Diagnosis:
+    """Without rows that seem lost because instants are too coarse."""
+    kept = tuple(f for f in verdict.warnings if f.kind not in ("lost_rows", "missing_rows"))
+    return dataclasses.replace(verdict, warnings=kept)
 
 
 def _compared(

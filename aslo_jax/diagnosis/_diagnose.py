@@ -16,6 +16,13 @@ from ._value import Diagnosis, Finding
 from ._verdict import of_circle
 
 SHOWN = 5  # rows that a message names
+# Kinds of what makes steps of the current look as if rows were lost.
+WHOLE = (
+    *("sign", "alpha_flipped", "beta_flipped", "axes_swapped", "axes_turned"),
+    *("phases_swapped", "phases_a_b", "line_voltages", "power_invariant", "line_to_line"),
+    *("current_unit", "voltage_unit", "current_scale", "voltage_scale", "inductance_unit"),
+    *("voltage_timing", "voltage_instant"),
+)
 FEW = 2e-3  # of the rows: more that seem wrong are so by their frame
 
 
@@ -74,6 +81,9 @@ class Diagnosing:
             found = found + of_circle(chunks, circle, turns)
         if any(w.kind in FRAMES for w in found.warnings):
             return found  # from which what rows seem wrong follows
+        if any(w.kind in WHOLE for w in found.warnings):
+            # What moves the current by more than the inputs allow is that first of all.
+            rows = dataclasses.replace(rows, lost=rows.lost[:0])
         return Diagnosis(_of_rows(rows, kept)) + found
 
 

@@ -92,6 +92,7 @@ def suspect_rows(log: Log, circle: Circle, interval: float) -> Rows:
     step = h * (u[:-1] - 0.5 * R * (y[1:] + y[:-1])) - L * leap
     step = step * np.where(np.isin(np.arange(h.size), gaps), interval / h, 1.0)
     error = step - _smooth(step)
+    behind = step - _before(step)
     size = np.abs(error)
     quiet = np.median(size)
     least = LEAST * circle.radius if circle.radius and circle.other is None else 0.0
@@ -112,8 +113,10 @@ def suspect_rows(log: Log, circle: Circle, interval: float) -> Rows:
             near = leap[max(place - 2, 0) : place + 3]
             if L * np.abs(near).max() < 0.3 * size[place]:
                 inputs.append(place)
-        elif not pulses[max(place - 2, 0) : place + 3].any() and _unexplained(
-            error[place], L * leap[place]
+        elif pulses[max(place - 2, 0) : place + 3].any():
+            continue
+        elif not _late(h * u[:-1], step, place, behind[place]) and any(
+            _unexplained(x[place], L * leap[place]) for x in (error, behind)
         ):
             lost.append(place)
     as_rows = lambda found: np.array(sorted(set(found)), int)
@@ -146,6 +149,31 @@ def _smooth(x: Complex[np.ndarray, " N"]) -> Complex[np.ndarray, " N"]:
     return np.median(around.real, axis=0) + 1j * np.median(around.imag, axis=0)
 
 
+def _before(x: Complex[np.ndarray, " N"]) -> Complex[np.ndarray, " N"]:
+    """The same by the entries before alone: where rows are lost, the curve jumps."""
+    turn = np.vdot(x[:-1], x[1:])
+    turn = turn / abs(turn) if abs(turn) > 0 else 1.0
+    rows = np.arange(x.size)
+    back = [np.clip(rows - k, 0, x.size - 1) for k in (1, 2, 3)]
+    around = np.stack([x[other] * turn ** (rows - other) for other in back])
+    return np.median(around.real, axis=0) + 1j * np.median(around.imag, axis=0)
+
+
+def _late(moves: Any, step: Any, place: int, behind: Any) -> bool:
+    """Whether the voltage of a row beside explains a step of the current, which then is no
+    sign of a loss but of a late voltage; `moves`: what voltages move the flux by (V s).
+    The curve of the magnet goes on as before then."""
+    after = place + 4
+    if place < 4 or after + 3 > step.size:
+        return False
+    turn = np.vdot(step[:-1], step[1:])
+    turn = turn / max(abs(turn), 1e-300)
+    rows = np.array([after, after + 1, after + 2])
+    went_on = np.mean(step[rows] * turn ** (place - rows)) - (step[place] - behind)
+    left = np.abs(behind + moves[place + np.array([-2, -1, 1, 2])] - moves[place])
+    return bool(max(abs(went_on), left.min()) < 0.3 * abs(behind))
+
+
 def _partner(error, after, place) -> int | None:
     """The step that takes an error back, if there is one soon."""
     for other in after:
@@ -166,6 +194,11 @@ def _jumps(y: Any, place: int, partner: int, leap: Any) -> bool:
 
 def _stands_out(u: Any, place: int, leap: Any) -> bool:
     if not 0 < place < u.size - 1:
+        return False
+    turn = np.vdot(u[:-1], u[1:])
+    turn = turn / max(abs(turn), 1e-300)
+    before, after = u[place - 1] * turn, u[place + 1] * np.conj(turn)
+    if abs(after - before) > 0.5 * abs(leap):  # it does not come back: rows are lost
         return False
     own = u[place] - 0.5 * (u[place - 1] + u[place + 1])
     return bool(abs(own - leap) < 0.3 * abs(leap))

@@ -125,7 +125,12 @@ def _tried(windows, circle, hypotheses, nominal):
     mine = None
     for k, h in enumerate(hypotheses):
         rows = np.flatnonzero(owner == k)
-        best = rows[np.argmin(found.cost[rows])]
+        # At constant speed a scale has two values that fit, one of them negative.
+        alike = found.cost[rows] <= 2.0 * found.cost[rows].min() + 1e-4
+        change = np.abs(found.values[rows]).sum(axis=1)
+        if h and h.free and h.free[0] in ("voltage", "current"):
+            change = np.where(found.values[rows, 0] < -1.0, change + 1e12, change)
+        best = rows[np.argmin(np.where(alike, change, np.inf))] if h and h.free else rows[0]
         phi = (
             found.centre[best][:, None]
             + flux[best]

@@ -23,6 +23,11 @@ UNEXPLAINED = 0.02  # a relative residual that is a warning of its own
 OF_A_LOG, OF_A_MACHINE = 0.01, 0.03  # flux errors that are worth a warning
 RADIUS = math.log(1.15)  # a magnet that is off by less does no harm
 DOUBT = 0.1  # of a parameter: an error that is likely in a right log
+LIKELY = math.log(1.5)  # of a parameter: one that is further off is not so by itself
+ABSURD = math.log(3.0)  # of a parameter: others come first
+TURN = 0.05  # rad a row: from here on the timing of the voltage is worth a note
+FLOOR = 0.1  # of the noise: what a residual below it is, is chance
+LEVEL = math.log(1.03)  # of the radius: worth a note
 
 
 def of_circle(
@@ -45,7 +50,9 @@ def _of_flux(
         found = [t for t in _turned(turning, circle) if t.cost < FITS]
         if found:
             best = min(found, key=lambda t: t.cost)
-            rivals = _plain([t for t in found if t.cost <= ALIKE * best.cost + 1e-4])
+            rivals = _plain(
+                [t for t in found if t.cost <= ALIKE * best.cost + 1e-4], circle
+            )
             return Diagnosis((_warning(math.inf, rivals, circle),)), None
     if windows is None:
         note = f"{circle.quantity}: too little turning to check the log against its model"
@@ -60,21 +67,26 @@ def _of_flux(
         "radius": nominal.radius,
     }
     if nominal.residual < CLEAR and _near(nominal, circle):
-        return Diagnosis(figures=figures), nominal
+        notes = _level(nominal, circle) + _late(windows, nominal, circle)
+        return Diagnosis(figures=figures, notes=notes), nominal
     best = min(others, key=lambda t: t.cost)
-    if best.cost > nominal.cost / BETTER:
-        return Diagnosis(_unexplained(nominal, best, circle), figures), nominal
+    if max(best.cost, FLOOR * nominal.noise) > nominal.cost / BETTER:
+        found = _unexplained(nominal, best, circle)
+        quiet = _level(nominal, circle) + _late(windows, nominal, circle)
+        notes = () if found else quiet
+        return Diagnosis(found, figures, notes), nominal
     explained = [t for t in others if t.cost <= nominal.cost / BETTER]
     alike = CLEAR if turning else 1e-4
     rivals = [t for t in explained if t.cost <= ALIKE * best.cost + alike]
-    rivals = _plain([*rivals, *_named_scales(rivals, explained)])
+    rivals = _plain([*rivals, *_named_scales(rivals, explained)], circle)
     doubtful = [t for t in explained if abs(_changed(t, circle) - 1.0) < DOUBT]
     axes = [t for t in rivals if t.tried.angle is not None and rotations.aligned(t)]
     if axes and not rotations.aligned(nominal):  # that tells more than lengths do
         rivals, doubtful = axes, []
     figures["flux_error"] = max(t.flux_error for t in rivals)
-    if any(_harmless(t, circle) for t in (*rivals, *doubtful)):
-        return Diagnosis(figures=figures), nominal
+    if _pardoned(rivals, doubtful, circle):
+        notes = _level(nominal, circle) + _late(windows, nominal, circle)
+        return Diagnosis(figures=figures, notes=notes), nominal
     return Diagnosis((_warning(nominal.cost, rivals, circle),), figures), nominal
 
 
@@ -121,18 +133,68 @@ def _named_scales(rivals: Sequence[Trial], explained: Sequence[Trial]) -> list[T
     return []
 
 
-def _plain(rivals: Sequence[Trial]) -> list[Trial]:
+def _plain(rivals: Sequence[Trial], circle: Circle) -> list[Trial]:
     """The likelier of those that explain a log alike: one of each kind, those with a fitted
-    scale only where there is no named one."""
-    by = lambda t: (-t.tried.plain, t.cost)
+    scale only where there is none but parameters that are off by an unlikely factor."""
+    plain = lambda t: 0 if _off(t, circle) > ABSURD else t.tried.plain
+    by = lambda t: (-plain(t), t.cost)
     kinds: dict[str, Trial] = {}
     for t in sorted(rivals, key=by):
         kinds.setdefault(t.tried.kind, t)
     found = list(kinds.values())
     if any(rotations.aligned(t) for t in found if t.tried.angle is not None):
         found = [t for t in found if t.tried.angle is None or rotations.aligned(t)]
-    named = [t for t in found if t.tried.plain > 1]
-    return named or found
+    named = [t for t in found if plain(t) > 1]
+    if all(_off(t, circle) > LIKELY for t in named):
+        return found
+    return named
+
+
+def _pardoned(rivals: Sequence[Trial], doubtful: Sequence[Trial], circle: Circle) -> bool:
+    """Whether nothing is said of a log: all that may be wrong does no harm, or some of it
+    does none and is likely. At constant speed another inductance, whatever it would have to
+    be, makes up for many things that do harm."""
+    if all(_harmless(t, circle) for t in rivals):
+        return True
+    likely = lambda t: _off(t, circle) < LIKELY
+    return any(_harmless(t, circle) and likely(t) for t in (*rivals, *doubtful))
+
+
+def _off(t: Trial, circle: Circle) -> float:
+    """By how much a hypothesis has a parameter off, the logarithm of the factor; zero where
+    it fits none."""
+    factor = _changed(t, circle)
+    return abs(math.log(factor)) if math.isfinite(factor) else 0.0
+
+
+def _level(nominal: Trial, circle: Circle) -> tuple[str, ...]:
+    """What is said of a log in which nothing but the level of the magnet flux is odd."""
+    if circle.radius is None or not nominal.radius > 0:
+        return ()
+    ratio = nominal.radius / circle.radius
+    if abs(math.log(ratio)) < LEVEL:
+        return ()
+    return (
+        f"{circle.quantity}: the {circle.radius_name} that fits the log is {ratio:.3g} "
+        "times the one given; where speed and current are constant, a wrong resistance, "
+        "sign, scale or timing of the voltage would look the same",
+    )
+
+
+def _late(windows: Windows, nominal: Trial, circle: Circle) -> tuple[str, ...]:
+    """What is said of a log that voltages of other rows would explain as well."""
+    turn = windows.rate * windows.interval
+    if turn < TURN:
+        return ()
+    moved = [h for h in known_causes(circle) if abs(h.shift) == 1.0]
+    limit = max(2.0 * nominal.residual, CLEAR)
+    tried = trial.of_each(windows, circle, moved)
+    if not any(t.residual < limit and _near(t, circle) for t in tried):
+        return ()
+    return (
+        f"{circle.quantity}: the motion is too even to tell the timing of the voltages; a "
+        f"row late or early turns the estimate by {np.degrees(turn):.2g} degrees",
+    )
 
 
 def _harmless(t: Trial, circle: Circle) -> bool:

@@ -25,7 +25,7 @@ def replay_fused(
     state: ObserverState,
     u: PyTree,
     y: PyTree,
-    intervals: Array | None,
+    intervals: Array | np.ndarray | None,
     coefficients: PyTree,
     substeps: int,
     common: Array | None = None,
