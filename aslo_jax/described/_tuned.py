@@ -230,8 +230,10 @@ def _tuned(
 def compared(
     before: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]
 ) -> tuple[tuple[float, float], bool]:
-    """The 95 % interval of the share by which the mean of costs of the same samples is less
-    `after` than `before`, each of shape `(n,)`, and whether it is beyond chance.
+    """The 95 % interval of the share by which a mean of costs is less after a change, and
+    whether it is beyond chance.
+
+    - `before`, `after`, shape `(n,)`: the costs of the same samples.
 
     Student's interval of the mean of paired differences. Samples that were not finite
     before, and all are after, are an improvement whatever the numbers."""
