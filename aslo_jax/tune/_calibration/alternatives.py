@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from .adequacy import SURE, Finding, places_of
+from .adequacy import Finding, places_of
 from .information import information
 from .profile import Profile
 from .search import Search
@@ -20,6 +20,9 @@ from .search import Search
 # Standard deviations of errors of a record as one meets them, in their sizes (`sizes_of`):
 # 2 % of the outputs, 5 % of the inputs, one and a half samples.
 PLAUSIBLE = {"output_offset": 0.02, "dead_time": 0.05, "delay": 0.5}
+# Of the statistic of a fit: five deviations. What is small in a right record, as that a
+# held voltage bends a current, may look like a delay along thousands of rows: four of them.
+CERTAIN = 25.0
 NOTABLE = 0.1  # of a half width, by which an error widens an interval
 
 
@@ -70,7 +73,7 @@ def together(
     """What score tests have found and what fits have, which know the sizes better; the one
     that explains most first."""
     found = {f.field: f for f in findings}
-    found |= {a.finding.field: a.finding for a in others if a.finding.statistic > SURE}
+    found |= {a.finding.field: a.finding for a in others if a.finding.statistic > CERTAIN}
     return tuple(sorted(found.values(), key=lambda f: -f.share))
 
 
