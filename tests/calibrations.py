@@ -27,6 +27,7 @@ def calibrated(**changes: Any) -> Calibration:
         imperfections=Imperfections(jnp.zeros(2), jnp.zeros(2), 1.0, 0.0, 0.0, 0.1, True),
         withdrawn="",
         findings=(),
+        allowed=dict.fromkeys(names, ()),
         undetermined=(),
         confidence=0.95,
         output_noise=np.zeros(2),

@@ -16,6 +16,7 @@ from ..logs import Log
 from ..machines import AbstractDescription, MachineError
 from ..machines._lifted import is_lifted
 from ..tune import Calibration
+from ..tune._calibration.adequacy import named
 from ..tune._calibration.result import DOUBTFUL
 from ..tune._calibration.whiten import Signals
 from . import _table as table
@@ -110,6 +111,14 @@ def summary(found: Calibration, machine: AbstractDescription, out: Path) -> Iter
         yield (
             "what determines them: direct current, torque and speed that vary, or a "
             "standstill with current besides; --resolution takes wider intervals"
+        )
+    wider = {name: found.allowed[name] for name in found.after if found.allowed[name]}
+    if wider and not found.withdrawn:
+        several = dict.fromkeys(field for fields in wider.values() for field in fields)
+        yield (
+            f"the intervals of {', '.join(wider)} allow for errors that this log does not "
+            f"rule out, one at a time: {named(tuple(several))}; a log that varies more, of "
+            "a motor in the direct current, tells them from the parameters"
         )
     if errors:
         units = units_of(machine, found)

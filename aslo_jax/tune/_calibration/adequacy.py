@@ -27,7 +27,8 @@ class Finding:
     - `field`: of [`Imperfections`][];
     - `size`: about how large it is, in the units of the field, shape `()`, or of each
       signal; to first order, with all else free;
-    - `statistic`: of the score test, over its degrees of freedom: about one by chance;
+    - `statistic`: of the score test, or of the likelihood ratio where it was fitted, over
+      its degrees of freedom: about one by chance;
     - `share`: of the sum of squares that it explains;
     - `shift`: what the parameters are off by where it is left out, relative, shape `(k,)`.
     """
@@ -42,6 +43,11 @@ class Finding:
         name, unit = WORDS[self.field]
         size = ", ".join(f"{x:.2g}" for x in np.ravel(self.size))
         return f"{name} of about {size} {unit}"
+
+
+def named(fields: Sequence[str]) -> str:
+    """Errors of the record in words."""
+    return ", ".join(WORDS[field][0] for field in fields)
 
 
 def tested(
@@ -62,6 +68,15 @@ def tested(
     return tuple(field for field in fields if field not in fitted)
 
 
+def places_of(search: Search, field: str) -> list[int]:
+    """The places, among the unknowns, of an error of the record that is tested."""
+    return [
+        j
+        for j, name in enumerate(search.problem.parameters.names)
+        if j >= search.k and name.partition("[")[0] == field
+    ]
+
+
 def findings(search: Search, fields: Sequence[str]) -> tuple[Finding, ...]:
     """The errors of the record among the `fields` that prediction errors show beyond
     doubt, the one that explains most first.
@@ -75,11 +90,7 @@ def findings(search: Search, fields: Sequence[str]) -> tuple[Finding, ...]:
     inverse = np.linalg.pinv(own.T @ own + prior, rcond=1e-15, hermitian=True)
     found = []
     for field in fields:
-        places = [
-            j
-            for j, name in enumerate(parameters.names)
-            if j >= k and name.partition("[")[0] == field
-        ]
+        places = places_of(search, field)
         theirs = search.slopes[..., places].reshape(e.size, -1)
         share = inverse @ (own.T @ theirs)
         left = theirs - own @ share

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from .adequacy import findings, tested
+from .alternatives import alternatives, together, widened
 from .imperfections import Recorded, fitted, perfect
 from .parameters import chosen
 from .problem import problem_of
@@ -76,6 +77,8 @@ def calibrate(
     which need not be a parabola, wider where the spread of slopes over blocks of the record
     says that the errors are not white. Errors of the record that are not fitted are tested:
     where one of them explains what is left, it is named and the intervals are withdrawn.
+    Where the profile of a parameter is no parabola each of them is fitted too, one at a
+    time, and the intervals hold whichever of them is right, or none.
 
     **Raises:** `ValueError` for a `model` or `where` that does not fit, where no estimate
     is certified in the log, and as [`replay`][].
@@ -109,12 +112,18 @@ def calibrate(
         if settled or done >= rounds:
             break
     v, known = search.last_round(v)
+    profiles = search.profiles(v, known, confidence, resolution)
+    seen = findings(search, tests)
+    if not all(profile.parabolic for profile in profiles):
+        others = alternatives(search, v, tests)
+        seen = together(seen, others)
+        profiles = widened(profiles, others, confidence)
     return summed_up(
         problem=problem,
         v=v,
         known=known,
-        profiles=search.profiles(v, known, confidence, resolution),
-        findings=findings(search, tests),
+        profiles=profiles,
+        findings=seen,
         factor=factor,
         confidence=confidence,
         resolution=resolution,

@@ -27,7 +27,8 @@ class Profile:
     - `place`: of the parameter, relative to where it started, shape `(n,)`, in order;
     - `deviance`: the sum of squares above the least one, in variances of the errors;
     - `low`, `high`: the ends of its interval; infinite where none was found;
-    - `parabolic`: whether these are about where the curvature has them.
+    - `parabolic`: whether these are about where the curvature has them;
+    - `allowed`: the errors of the record that make the interval wider.
     """
 
     place: Float[np.ndarray, " n"]
@@ -35,6 +36,7 @@ class Profile:
     low: float
     high: float
     parabolic: bool
+    allowed: tuple[str, ...] = ()
 
 
 def profile(

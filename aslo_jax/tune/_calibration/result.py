@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .adequacy import Finding
+from .adequacy import Finding, named
 from .imperfections import Imperfections
 from .information import Information
 from .parameters import Parameters
@@ -56,6 +56,8 @@ class Calibration:
       asked for: called with a log they correct it;
     - `withdrawn`: why no interval can be trusted, empty where they can;
     - `findings`: errors of the record that were not fitted and that it shows beyond doubt;
+    - `allowed`: by name, the errors of the record that it does not rule out and that make
+      the interval wider: where a parameter enters nonlinearly they are fitted, one by one;
     - `undetermined`: directions that the record does not determine;
     - `output_noise`: standard deviation of the noise of every output, in its units, shape
       `(p,)`; `drift_noise`: of what disturbs the known derivatives, held from sample to
@@ -79,6 +81,7 @@ class Calibration:
     imperfections: Imperfections
     withdrawn: str
     findings: tuple[Finding, ...]
+    allowed: dict[str, tuple[str, ...]]
     undetermined: tuple[Undetermined, ...]
     confidence: float
     output_noise: Float[np.ndarray, " p"]
@@ -117,6 +120,8 @@ class Calibration:
                 why = f"about {value:.3g}, without an interval: not trusted"
             elif np.isfinite(half):
                 why = f"about {value:.3g} {size}: too wide, not determined{flat}"
+                if self.allowed[name]:
+                    why += f" ({named(self.allowed[name])} not ruled out)"
             else:
                 why = f"not determined by this record{flat}"
             found.append((name, f"{before:.6g}", "", why))
@@ -206,6 +211,7 @@ def summed_up(
         imperfections=problem.split(v)[0].imperfections,
         withdrawn=withdrawn,
         findings=findings,
+        allowed={n: found.allowed for n, found in zip(names, profiles, strict=True)},
         undetermined=_flat(known, names, resolution / factor),
         confidence=confidence,
         output_noise=np.asarray(noise.output),

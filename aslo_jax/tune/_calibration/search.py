@@ -1,7 +1,9 @@
 """The rounds of a search: prediction errors along a log, made white and then small."""
 
+import copy
 import dataclasses
 import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -60,12 +62,14 @@ class Search:
         self.free = np.ones(problem.unknowns.size, bool)
         self.free[self.k : every] = False
         self.pull = self.doubt = np.zeros(self.k)
+        self.plausible = np.zeros(0)
 
     @property
     def prior(self) -> Float[np.ndarray, " w"]:
         """The curvature of what is known beforehand of every unknown that is free."""
         found = np.zeros(np.count_nonzero(self.free))
         found[: self.k] = PRIOR**-2
+        found[self.k : self.k + self.plausible.size] = self.plausible**-2.0
         if self.problem.form.answers:
             found[-1] = HELD**-2
         return found
@@ -80,6 +84,18 @@ class Search:
         lower, upper = (self._pull(v, levels) for levels in self._between(v))
         self.pull, self.doubt = 0.5 * (upper + lower), 0.5 * np.abs(upper - lower)
         return self._least(v, self.gains)
+
+    def beside(
+        self, v: Float[np.ndarray, " v"], places: Sequence[int], plausible: float
+    ) -> tuple["Search", Round]:
+        """Another search from the unknowns `v`, with the same gains, to which the tested
+        parameters at `places` are free as well, of `plausible` standard deviation; and what
+        it found."""
+        other = copy.copy(self)
+        other.free = self.free.copy()
+        other.free[list(places)] = True
+        other.plausible = np.full(len(places), plausible)
+        return other, other._least(v, self.gains)
 
     def _least(self, v: Float[np.ndarray, " v"], gains: Gains) -> Round:
         """Squares made least, with gains that are kept."""
@@ -132,8 +148,7 @@ class Search:
         """Of every parameter, about the unknowns `v` that a round has found; an interval
         that is no parabola and wider than `resolution`, relative, has no ends."""
         variance = float(np.mean(self.errors**2))
-        inverse = np.linalg.pinv(known.curvature, hermitian=True) / variance
-        doubt = np.abs(inverse) @ self.doubt
+        doubt = self.doubtful(known)
 
         def inflation(w, j):
             e, J = whitened(self.problem, self.whole(w, v), self.reference, self.gains)
@@ -161,6 +176,12 @@ class Search:
             dataclasses.replace(p, low=p.low - d, high=p.high + d)
             for p, d in zip(found, doubt, strict=True)
         ]
+
+    def doubtful(self, known: Information) -> Float[np.ndarray, " k"]:
+        """How far the parameters may be off as their pull is not known."""
+        variance = float(np.mean(self.errors**2))
+        inverse = np.linalg.pinv(known.curvature, hermitian=True) / variance
+        return np.abs(inverse) @ self.doubt
 
     def noise(self) -> Noise:
         """The noise that was found."""
