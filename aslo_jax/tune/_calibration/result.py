@@ -55,7 +55,8 @@ class Calibration:
     - `imperfections`: the errors of the record as they were found, none where none were
       asked for: called with a log they correct it;
     - `withdrawn`: why no interval can be trusted, empty where they can;
-    - `findings`: errors of the record that were not fitted and that it shows beyond doubt;
+    - `findings`: errors of the record that were not fitted, that it shows beyond doubt, and
+      that are large enough to matter beside the intervals; for others these allow;
     - `allowed`: by name, the errors of the record that it does not rule out and that make
       the interval wider: where a parameter enters nonlinearly they are fitted, one by one;
     - `undetermined`: directions that the record does not determine;
@@ -178,12 +179,17 @@ def summed_up(
             ends, half[name] = np.full(2, np.nan), np.nan
         interval[name] = (float(ends[0]), float(ends[1]))
     moved = lambda finding, j: abs(finding.shift[j] * _slope(parameters, v, j))
-    blamed = [
-        finding
-        for finding in findings
-        if any(not moved(finding, j) < HARMLESS * half[n] for j, n in enumerate(names))
-    ]
+
+    def matters(finding: Finding) -> bool:
+        return any(not moved(finding, j) < HARMLESS * half[n] for j, n in enumerate(names))
+
+    blamed = [finding for finding in findings if matters(finding)]
+    harmless = [finding for finding in findings if not matters(finding)]
     withdrawn = _reason(blamed) if blamed else ""
+    for j, name in enumerate(names):
+        more = sum(moved(finding, j) for finding in harmless)
+        interval[name] = interval[name][0] - more, interval[name][1] + more
+        half[name] += more
     e = errors - np.mean(errors, axis=0)
     correlation = float(np.sum(e[1:] * e[:-1]) / np.sum(e * e))
     if abs(correlation) > DOUBTFUL and disturbance > UNEXPLAINED and not withdrawn:
@@ -210,7 +216,7 @@ def summed_up(
         interval=interval,
         imperfections=problem.split(v)[0].imperfections,
         withdrawn=withdrawn,
-        findings=findings,
+        findings=tuple(blamed),
         allowed={n: found.allowed for n, found in zip(names, profiles, strict=True)},
         undetermined=_flat(known, names, resolution / factor),
         confidence=confidence,
