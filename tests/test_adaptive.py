@@ -178,6 +178,7 @@ def test_with_known_parameters_it_is_as_good_as_the_lifted_filter():
     assert claim(ours) < 1.1 * claim(theirs)
 
 
+@pytest.mark.slow
 def test_steps_are_a_replay_and_samples_may_be_missing():
     t, u, y, _ = record(turning, 0.4, 5)
     ours = observer(bank=5)
@@ -211,6 +212,7 @@ def test_the_fused_engine_does_the_same():
     np.testing.assert_allclose(fused.parameters, scan.parameters, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_single_precision_stays_single_and_close():
     t, u, y, _ = record(turning, 1.2, 9)
     single = lambda tree: jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), tree)
@@ -231,6 +233,7 @@ def test_a_drift_keeps_a_parameter_open():
     assert claims[1] > 2 * claims[0] and claims[1] < 0.05
 
 
+@pytest.mark.slow
 def test_what_it_finds_is_differentiable():
     t, u, y, _ = record(steady, 0.1, 8)
 

@@ -63,6 +63,7 @@ def test_motors(case):
     )
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say():
     """12 intervals of 95 %: 3 or more misses would happen once in 50 times."""
     misses = 0
@@ -73,6 +74,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     assert misses <= 2
 
 
+@pytest.mark.slow
 def test_steady_motion_leaves_directions_undetermined():
     """At constant speed and torque, resistance, inductance and magnet flux cannot be told
     apart: an error of `R i` looks like the voltage of a magnet."""
@@ -143,6 +145,7 @@ def test_wrim():
     check(found, {n: float(getattr(machine, n)) for n in names}, 0.01)
 
 
+@pytest.mark.slow
 def test_bearing():
     machine = aslo.plants.MagneticBearing(jnp.array([2.0, 2.7]), 0.5e-3, 2.0e-5, 0.8)
     motion = PrescribedBearing(machine)
@@ -154,6 +157,7 @@ def test_bearing():
     check(found, truth, 0.02)
 
 
+@pytest.mark.slow
 def test_mechanism():
     """Masses and friction, from positions and forces."""
     machine = aslo.plants.CartOnArm(0.7, 0.3, damping=jnp.array([0.2, 0.1]))

@@ -41,6 +41,7 @@ def run(arguments):
     return code.value.code
 
 
+@pytest.mark.slow
 def test_round_trip(tmp_path, capsys):
     """The calibrated file keeps all else, and estimates better."""
     log = read_log("aslo_jax/data/pmsm_log.csv")

@@ -27,7 +27,14 @@ def blocks(text: str) -> list[tuple[str, str, int, int]]:
     return found
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+LONG = ("calibration", "batches")
+MARKED = [
+    pytest.param(page, marks=[pytest.mark.slow] if page.stem in LONG else [])
+    for page in PAGES
+]
+
+
+@pytest.mark.parametrize("page", MARKED, ids=[page.stem for page in PAGES])
 def test_page(page, monkeypatch):
     monkeypatch.chdir(ROOT)
     namespace, pending = {"__name__": "__main__"}, None

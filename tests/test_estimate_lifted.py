@@ -119,6 +119,7 @@ def test_pieces_and_rows_in_doubt(noisy, monkeypatch):
         np.testing.assert_allclose(pieces[name], column, atol=1e-9, err_msg=name)
 
 
+@pytest.mark.slow
 def test_it_finds_parameters_that_are_wrong(noisy, clean, capsys):
     off = dataclasses.replace(MOTOR, R=1.12 * MOTOR.R, psi=0.985 * MOTOR.psi)
     adaptive = 'kind = "adaptive"\nbank = 7'

@@ -156,6 +156,7 @@ def test_chain_of_any_order(order, completion):
     assert (growth > 1).all()
 
 
+@pytest.mark.slow
 def test_state_affine_drift_under_least_squares():
     """x' = A x + z with damping and coupling, one linear measurement of three states."""
     A = jnp.array([[-0.3, 1.0, 0.0], [-2.0, 0.1, 0.5], [0.0, -0.4, -0.2]])

@@ -51,6 +51,7 @@ def error(observer, motion, ts, **settings):
     return jnp.linalg.norm(estimate.value - jax.vmap(motion.flux)(ts), axis=1)
 
 
+@pytest.mark.slow
 def test_without_the_d_current_the_error_is_linear_in_saliency_and_ripple():
     """2.8e-5 Wb for Ld - Lq = -0.5 mH to 2.2e-4 Wb for -4 mH with 1 A at 9 rad/s; nothing
     without saliency, or where the d current is constant."""
@@ -82,6 +83,7 @@ def consistent(m, initial, rate=70.0, gain=50.0, **settings):
     return SelfConsistent(relation, aslo.LowPass(rate), gain, initial, **settings)
 
 
+@pytest.mark.slow
 def test_with_its_own_d_current_the_flux_is_exact_after_a_second():
     """From no flux, from the opposite one, from seven times too much, to Lq/Ld = 3.3."""
     ts = jnp.array([0.05, 1.0, 1.5])

@@ -213,6 +213,7 @@ def test_a_log_is_estimated(capsys, tmp_path, log, machine):
     assert code == 2 and "its angle is not estimated" in err
 
 
+@pytest.mark.slow
 def test_what_it_offers_is_calibrated(capsys, tmp_path, log, machine):
     machine.write_text(machine.read_text().replace(f"resistance = {R}", "resistance = 1.8"))
     out = tmp_path / "found.toml"

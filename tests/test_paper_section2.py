@@ -277,6 +277,7 @@ CORRECTED = {
 }
 
 
+@pytest.mark.slow
 def test_run_writes_every_figure_and_the_claims(
     tmp_path, capsys, monkeypatch, transients, gains, scenarios, chain
 ):

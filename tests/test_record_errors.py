@@ -51,7 +51,9 @@ def off(factors):
     return eqx.tree_at(where, MOTOR, values)
 
 
-@pytest.mark.parametrize("error", SIZE)
+@pytest.mark.parametrize(
+    "error", [pytest.param(e, marks=[pytest.mark.slow] * (e != "delay")) for e in SIZE]
+)
 def test_an_error_is_named_and_the_intervals_are_withdrawn(error):
     found = calibrate(off((1.1, 0.9, 1.05)), *spoilt(error), where)
     field = FIELD[error].partition("[")[0]

@@ -159,6 +159,7 @@ def test_refused_arguments(changes, message):
 # ---- on several processes ------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_worker_killed(tmp_path):
     """Two workers of a real cluster, one killed once the first chunks are done; the bits
     are those of one process, in a store and in memory."""

@@ -68,6 +68,7 @@ def simulate(observers, supply, ts):
     )
 
 
+@pytest.mark.slow
 def test_shorted_rotor_under_a_modulated_supply():
     ts = jnp.array([0.0, 0.05, 0.1, 0.3, 1.0, 2.0, 5.0])
     paper = observers(aslo.Repeat(), start="paper", guard=None)
@@ -103,6 +104,7 @@ def printed_rotor(rate=5.0, **settings):
     return aslo.AlgebraicObserver(relation, aslo.LowPass(rate), **settings)
 
 
+@pytest.mark.slow
 def test_the_printed_inductance_is_wrong_under_modulation_only():
     ts = jnp.linspace(4.0, 5.0, 11)
     right = observers()["rotor"]
