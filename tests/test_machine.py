@@ -117,7 +117,8 @@ FAULTS = {
     ),
     "unknown table": (
         MOTOR + "[obsever]\n",
-        "unknown key `obsever` (did you mean `observer`? allowed: machine, observer, calibration)",
+        "unknown key `obsever` (did you mean `observer`? allowed: machine, observer, "
+        "calibration)",
     ),
     "no machine": (
         "[observer]\n",
