@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from .._filters import LowPass
 from .._guard import Guard
 from ..logs import Log, Signals
-from ..observers import AbstractObserver, AlgebraicObserver, BearingObserver
+from ..observers import AbstractObserver, AlgebraicObserver, BearingObserver, Lifted
 from ..plants import MagneticBearing
 from ..schema import NoLoad, Numbers, Positive, Table, WaveTable, key
 from . import _keys as keys, _lifted, offers
@@ -180,6 +180,7 @@ class MagneticBearingDescription(
         velocity = LowPass(rates["velocity_cutoff"].value)
         if is_lifted(self.observer):
             flux = lifted(self.plant().flux_relation(), self.observer)
+            assert isinstance(flux, Lifted), "bearings offer no other kind"
             return BearingObserver(flux, velocity, Guard(THRESHOLD))
         guard = Guard(threshold=self.observer.threshold)
         flux = AlgebraicObserver(
