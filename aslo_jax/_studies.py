@@ -1,4 +1,6 @@
-"""The names of the studies that come with the library, for help that imports no JAX."""
+"""The studies that come with the library, for commands that import no JAX."""
+
+from importlib.resources import files
 
 NAMES = (
     "double_integrator",
@@ -8,3 +10,8 @@ NAMES = (
     "ball_beam",
     "magnetic_bearing",
 )
+
+
+def ready_made(name: str) -> str:
+    """The text of the study of that name."""
+    return (files("aslo_jax.study") / "configs" / f"{name}.toml").read_text("utf-8")

@@ -119,3 +119,25 @@ def verified_loops() -> Iterator[None]:
     before, passes.CHECK = passes.CHECK, lambda name, loop: verify(loop)
     yield
     passes.CHECK = before
+
+
+# Of the study of `studies`, which must not be imported before the checks of annotations
+# are installed.
+
+
+@pytest.fixture(scope="session")
+def whole():
+    """A study in one piece, in memory."""
+    import studies
+
+    return studies.run_study()
+
+
+@pytest.fixture(scope="session")
+def stored(tmp_path_factory):
+    """The path of the same in a store, chunk by chunk, by one thread: to be copied."""
+    import studies
+
+    path = tmp_path_factory.mktemp("study") / "run.zarr"
+    studies.run_study(store=path, chunk=1, threads=1)
+    return path

@@ -21,20 +21,6 @@ from aslo_jax.study._cluster import local_cluster
 from aslo_jax.study._problem import BLOCK
 
 
-@pytest.fixture(scope="module")
-def whole():
-    """In one piece, in memory."""
-    return studies.run_study()
-
-
-@pytest.fixture(scope="module")
-def stored(tmp_path_factory):
-    """Chunk by chunk, by one thread, in a store."""
-    path = tmp_path_factory.mktemp("study") / "run.zarr"
-    studies.run_study(store=path, chunk=1, threads=1)
-    return path
-
-
 def test_what_a_study_returns(whole):
     sizes = {"sample": 600, "observer": 2, "entry": 1, "time": 3}
     assert dict(whole.sizes) == sizes

@@ -25,20 +25,6 @@ HERE = Path(__file__).parent
 
 
 @pytest.fixture(scope="module")
-def whole():
-    """In one piece, in memory."""
-    return studies.run_study()
-
-
-@pytest.fixture(scope="module")
-def stored(tmp_path_factory):
-    """Chunk by chunk, by one thread, in a store."""
-    path = tmp_path_factory.mktemp("study") / "run.zarr"
-    studies.run_study(store=path, chunk=1, threads=1)
-    return path
-
-
-@pytest.fixture(scope="module")
 def schema():
     """That of the store: a study is traced once for the tests that need no more."""
     return studies.study_of().schema

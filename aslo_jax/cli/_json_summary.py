@@ -21,10 +21,7 @@ def summary_of(done: Done) -> dict[str, Any]:
     t = reader.t
     return _finite(
         {
-            "warnings": [
-                {"kind": kind, "message": message, "rows": list(rows)}
-                for kind, message, rows in done.findings()
-            ],
+            "warnings": done.warned(),
             "columns": list(done.columns),
             "log": {
                 "file": str(reader.path),

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,13 @@ class Done:
     diagnosis: Diagnosis
     columns: tuple[str, ...]
     slow: str
+
+    def warned(self) -> list[dict[str, Any]]:
+        """The same as a file has them: `kind`, `message` and `rows` of every warning."""
+        return [
+            {"kind": kind, "message": message, "rows": list(rows)}
+            for kind, message, rows in self.findings()
+        ]
 
     def findings(self) -> Iterator[tuple[str, str, tuple[int, ...]]]:
         """Kind, message and rows of every warning."""
@@ -109,7 +117,7 @@ def tabulated(
     machine: AbstractDescription,
     rates: Rates,
     substeps: int,
-    out: Path,
+    out: Path | None,
     drawn: bool,
     progress: Callable[[int], object],
     *,
@@ -119,10 +127,10 @@ def tabulated(
     smoothed: bool = False,
     noise: Mapping[str, str] | None = None,
 ) -> Done:
-    """Write the table of estimates to `out`; `progress` is told of rows as they are done.
-    Inputs are moved by `shift` rows, and outliers are left out unless they are kept.
-    `smoothed`: in one piece, each row from the whole log; `noise`: where the deviations
-    come from, by key.
+    """Write the table of estimates to `out`, if anywhere; `progress` is told of rows as
+    they are done. Inputs are moved by `shift` rows, and outliers are left out unless they
+    are kept. `smoothed`: in one piece, each row from the whole log; `noise`: where the
+    deviations come from, by key.
 
     A phase-locked loop starts where its angle is certified. Where it never is, which the
     end of the log tells, the loop starts in the first row: the log is run again. So it is
@@ -139,7 +147,7 @@ def tabulated(
         diagnosing = Diagnosing(circles, reader.t.size, reader.interval, shift)
         estimator = Estimator(machine, rates, reader.t, substeps, first, offsets, smoothed)
         rows = reader.t.size if smoothed else table.PIECE
-        with TableWriter(out) as writer:
+        with nullcontext() if out is None else TableWriter(out) as writer:
             pairs = [circle.inputs for circle in circles]
             for log in retimed_pieces(reader.pieces(rows), shift, pairs):
                 suspect = diagnosing.add(log)
@@ -147,7 +155,8 @@ def tabulated(
                     suspect = suspect.without_outliers()
                 log = repaired(log, suspect)
                 piece = estimator(log, suspect)
-                writer.write(piece.columns)
+                if writer is not None:
+                    writer.write(piece.columns)
                 names = tuple(piece.columns)
                 summary.add(piece)
                 _compared(motions, machine, log, piece)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .._studies import NAMES as STUDIES
+from .._studies import NAMES as STUDIES, ready_made
 from ._outputs import staged
 
 NAMES = ("pmsm_log.csv", "motor.toml", "README.md")
@@ -38,7 +38,10 @@ def sample(
     if kind is not None and study is not None:
         raise ValueError("--kind and --study exclude each other; give one of them.")
     if study is not None:
-        typer.echo(_study(study), nl=False)
+        if study not in STUDIES:
+            names = ", ".join(STUDIES)
+            raise ValueError(f"--study must be one of {names}, but is `{study}`.")
+        typer.echo(ready_made(study), nl=False)
         return
     if kind is not None:
         from ..machines import template
@@ -54,10 +57,3 @@ def sample(
             part.write_bytes((files("aslo_jax") / "data" / name).read_bytes())
     for target in targets:
         typer.echo(target)
-
-
-def _study(name: str) -> str:
-    """The text of a ready-made study."""
-    if name not in STUDIES:
-        raise ValueError(f"--study must be one of {', '.join(STUDIES)}, but is `{name}`.")
-    return (files("aslo_jax.study") / "configs" / f"{name}.toml").read_text("utf-8")

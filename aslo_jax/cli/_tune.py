@@ -1,7 +1,6 @@
 """`aslo-jax tune`: the gains of a study's observers, tuned by gradients."""
 
 import math
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from json import dumps
 from pathlib import Path
@@ -84,8 +83,8 @@ def tune(
     double_precision()
     from ..described import calibrate_study, changed, machine_of, tune_study
     from ..logs import read_log
-    from ..schema._toml_text import MARK, rewritten
-    from ..study._config import read_configuration, text_of
+    from ..schema._toml_text import rewritten, rounded
+    from ..study._config import read_study
     from ._calibrated import warnings
 
     if out.suffix.lower() != ".toml":
@@ -101,9 +100,7 @@ def tune(
         require("matplotlib", "cli,plot")
     say = (lambda text: None) if quiet else (lambda text: typer.echo(text, err=True))
     with staged(*outputs.values()) as parts:
-        text = text_of(config)
-        content = tomllib.loads(text.removeprefix(MARK))
-        read_configuration(config)
+        text, content, _ = read_study(config)
         values: dict = {}
         warned: list[dict[str, Any]] = []
         if log is not None:
@@ -143,8 +140,7 @@ def tune(
         )
         for name, each in tuned.items():
             if each.improved:
-                rounded = {k: float(f"{v:.7g}") for k, v in each.after.items()}
-                values[f"observers.{name}"] = rounded
+                values[f"observers.{name}"] = {k: rounded(v) for k, v in each.after.items()}
             else:
                 message = f"{name}: {judged(each)}"
                 warned.append({"kind": "no_improvement", "message": message, "rows": []})

@@ -9,7 +9,7 @@ import numpy as np
 from ..logs import Log
 from ..machines import AbstractDescription, MachineError
 from ..schema import hint
-from ..schema._toml_text import rewritten
+from ..schema._toml_text import rewritten, rounded
 from ..tune import Calibration, calibrate
 
 FAR = 3.0  # times another value than in the file: what was found is no value of it
@@ -108,8 +108,7 @@ def values_of(machine: AbstractDescription[Any, Any], found: Calibration) -> dic
             new[int(entry.rstrip("]"))] = found.after[name]
         else:
             new = np.asarray(found.after[name])
-        # Seven digits are more than any record determines.
-        values[key] = np.vectorize(lambda x: float(f"{x:.7g}"))(new).tolist()
+        values[key] = rounded(new.tolist())
     return values
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from .._replay import replay
 from ..logs import Log
 from ..machines import AbstractDescription
+from ..schema._toml_text import rounded
 from ..tune import Calibration
 from ..tune._calibration.result import SETTLED
 from ._calibrated import calibrate_machine, values_of
@@ -42,7 +43,7 @@ def calibrate_study(
             noise = np.asarray(found.output_noise)
             whole = not isinstance(disturbance["deviation"], list)
             level = np.sqrt(np.mean(noise**2)) if whole else noise
-            values[f"sensor.{k}"] = {"deviation": _rounded(level)}
+            values[f"sensor.{k}"] = {"deviation": rounded(np.asarray(level).tolist())}
             break
     if content["control"]["kind"] == "field_oriented":
         run = operation_in(machine_of(changed(content, values)), log)
@@ -67,14 +68,14 @@ def _operated(
     machine, reference = content["machine"], content["control"]["reference"]
     load = run["torque"] - machine.get("friction", 0.0) * run["speed"]
     values: dict[str, dict[str, Any]] = {
-        "control.reference": {"offset": _rounded(run["speed"])}
+        "control.reference": {"offset": rounded(run["speed"])}
     }
     if reference.get("amplitude"):
-        values["control.reference"]["amplitude"] = _rounded(run["swing"])
+        values["control.reference"]["amplitude"] = rounded(run["swing"])
     if "load" in machine:
-        values["machine.load"] = {"offset": _rounded(load)}
+        values["machine.load"] = {"offset": rounded(load)}
     else:
-        values["machine"] = {"load": {"offset": _rounded(load)}}
+        values["machine"] = {"load": {"offset": rounded(load)}}
     for name, item in content.get("spread", {}).items():
         where = item["where"]
         if item.get("relative") or where not in OPERATED:
@@ -92,12 +93,8 @@ def _moved(item: Mapping[str, Any], old: float, new: float) -> dict[str, Any]:
     that is as wide."""
     if item["distribution"] == "log-normal":
         scale = new / old if old and new / old > 0 else new / item["median"]
-        return {"median": _rounded(item["median"] * scale)} if scale > 0 else {}
+        return {"median": rounded(item["median"] * scale)} if scale > 0 else {}
     if item["distribution"] not in ("normal", "uniform"):
         return {}
     places = [k for k in ("mean", "low", "high") if k in item]
-    return {k: _rounded(item[k] + new - old) for k in places}
-
-
-def _rounded(x: Any) -> Any:
-    return np.vectorize(lambda v: float(f"{v:.7g}"))(x).tolist()
+    return {k: rounded(item[k] + new - old) for k in places}

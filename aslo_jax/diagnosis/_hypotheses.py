@@ -79,7 +79,7 @@ def words(circle: Circle) -> dict[str, Any]:
     """What messages are formatted with: `u`, `i` and `uq`, `iq`, the columns of the log and
     the second of them; options that `swap` two; and the parameters."""
     names = circle.labels or circle.symbols
-    shown = [name if name.isidentifier() else f"`{name}`" for name in names]
+    shown = [quoted(name) for name in names]
     voltages = sum(name.startswith("u") for name in circle.symbols)
     u, i = shown[:voltages], shown[voltages:]
     return {
@@ -102,6 +102,11 @@ def words(circle: Circle) -> dict[str, Any]:
         "inductance": circle.inductance_name,
         "radius": circle.radius_name,
     }
+
+
+def quoted(name: str) -> str:
+    """A column as it stands in an option --column."""
+    return name if name.isidentifier() else f"`{name}`"
 
 
 def listed(names: Sequence[str]) -> str:

@@ -1,6 +1,7 @@
 """Single rows of a log that cannot be right: outliers, and places where rows are lost."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,8 @@ from ._circle import Circle
 FAR = 9.0  # times the median distance from what the neighbours say
 LEAST = 3e-3  # of the radius: what is smaller does little harm
 LONGEST = 12  # rows of an outlier
-NEIGHBOURS = (-3, -2, -1, 1, 2, 3)
+BEHIND = (-3, -2, -1)
+NEIGHBOURS = (*BEHIND, 1, 2, 3)
 
 
 NONE = np.zeros(0, int)
@@ -91,15 +93,17 @@ def suspect_rows(log: Log, circle: Circle, interval: float) -> Rows:
     leap = np.diff(y)
     step = h * (u[:-1] - 0.5 * R * (y[1:] + y[:-1])) - L * leap
     step = step * np.where(np.isin(np.arange(h.size), gaps), interval / h, 1.0)
-    error = step - _smooth(step)
-    behind = step - _before(step)
+    pace, turning = _pace(step), _pace(u)
+    error = step - _smooth(step, pace, NEIGHBOURS)
+    # By the entries before alone: where rows are lost, the curve jumps.
+    behind = step - _smooth(step, pace, BEHIND)
     size = np.abs(error)
     quiet = np.median(size)
     least = LEAST * circle.radius if circle.radius and circle.other is None else 0.0
     limit = max(FAR * quiet, 0.15 * float(np.median(np.abs(step))), least)
     far = np.flatnonzero(size > limit)
     far = far[~np.isin(far, gaps)].tolist()
-    pulses = _pulses(u)
+    pulses, moves = _pulses(u), h * u[:-1]
     outliers, inputs, lost = [], [], []
     taken = -1
     for k, place in enumerate(far):
@@ -109,13 +113,13 @@ def suspect_rows(log: Log, circle: Circle, interval: float) -> Rows:
         if partner is not None and _jumps(y, place, partner, error[place] / -L):
             outliers += range(place + 1, partner + 1)
             taken = partner
-        elif _stands_out(u, place, error[place] / h[place]):
+        elif _stands_out(u, turning, place, error[place] / h[place]):
             near = leap[max(place - 2, 0) : place + 3]
             if L * np.abs(near).max() < 0.3 * size[place]:
                 inputs.append(place)
         elif pulses[max(place - 2, 0) : place + 3].any():
             continue
-        elif not _late(h * u[:-1], step, place, behind[place]) and any(
+        elif not _late(moves, step, pace, place, behind[place]) and any(
             _unexplained(x[place], L * leap[place]) for x in (error, behind)
         ):
             lost.append(place)
@@ -138,36 +142,30 @@ def gaps_in(
     return rows, whole[rows].astype(int) - 1
 
 
-def _smooth(x: Complex[np.ndarray, " N"]) -> Complex[np.ndarray, " N"]:
-    """What the neighbours of every entry say it is: their median, the entry left out,
+def _pace(x: Complex[np.ndarray, " N"]) -> complex:
+    """By what a curve turns from entry to entry: a number of size one."""
+    turn = np.vdot(x[:-1], x[1:])
+    return complex(turn / abs(turn)) if abs(turn) > 0 else 1.0 + 0.0j
+
+
+def _smooth(
+    x: Complex[np.ndarray, " N"], turn: complex, neighbours: Sequence[int]
+) -> Complex[np.ndarray, " N"]:
+    """What the `neighbours` of every entry say it is: their median, the entry left out,
     turned to it at the pace at which the curve turns."""
-    turn = np.vdot(x[:-1], x[1:])
-    turn = turn / abs(turn) if abs(turn) > 0 else 1.0
     rows = np.arange(x.size)
-    neighbours = [np.clip(rows + k, 0, x.size - 1) for k in NEIGHBOURS]
-    around = np.stack([x[other] * turn ** (rows - other) for other in neighbours])
+    others = [np.clip(rows + k, 0, x.size - 1) for k in neighbours]
+    around = np.stack([x[other] * turn ** (rows - other) for other in others])
     return np.median(around.real, axis=0) + 1j * np.median(around.imag, axis=0)
 
 
-def _before(x: Complex[np.ndarray, " N"]) -> Complex[np.ndarray, " N"]:
-    """The same by the entries before alone: where rows are lost, the curve jumps."""
-    turn = np.vdot(x[:-1], x[1:])
-    turn = turn / abs(turn) if abs(turn) > 0 else 1.0
-    rows = np.arange(x.size)
-    back = [np.clip(rows - k, 0, x.size - 1) for k in (1, 2, 3)]
-    around = np.stack([x[other] * turn ** (rows - other) for other in back])
-    return np.median(around.real, axis=0) + 1j * np.median(around.imag, axis=0)
-
-
-def _late(moves: Any, step: Any, place: int, behind: Any) -> bool:
+def _late(moves: Any, step: Any, turn: complex, place: int, behind: Any) -> bool:
     """Whether the voltage of a row beside explains a step of the current, which then is no
     sign of a loss but of a late voltage; `moves`: what voltages move the flux by (V s).
     The curve of the magnet goes on as before then."""
     after = place + 4
     if place < 4 or after + 3 > step.size:
         return False
-    turn = np.vdot(step[:-1], step[1:])
-    turn = turn / max(abs(turn), 1e-300)
     rows = np.array([after, after + 1, after + 2])
     went_on = np.mean(step[rows] * turn ** (place - rows)) - (step[place] - behind)
     left = np.abs(behind + moves[place + np.array([-2, -1, 1, 2])] - moves[place])
@@ -192,11 +190,9 @@ def _jumps(y: Any, place: int, partner: int, leap: Any) -> bool:
     return bool(abs(inside - leap) < 0.3 * abs(leap))
 
 
-def _stands_out(u: Any, place: int, leap: Any) -> bool:
+def _stands_out(u: Any, turn: complex, place: int, leap: Any) -> bool:
     if not 0 < place < u.size - 1:
         return False
-    turn = np.vdot(u[:-1], u[1:])
-    turn = turn / max(abs(turn), 1e-300)
     before, after = u[place - 1] * turn, u[place + 1] * np.conj(turn)
     if abs(after - before) > 0.5 * abs(leap):  # it does not come back: rows are lost
         return False

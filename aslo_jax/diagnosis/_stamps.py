@@ -5,6 +5,7 @@ import shlex
 import numpy as np
 from jaxtyping import Float
 
+from ._hypotheses import quoted
 from ._value import Diagnosis, Finding
 
 COARSE = 0.05  # of an interval: steps of the clock that are worth a warning
@@ -75,7 +76,7 @@ def _steps(t: Float[np.ndarray, " N"]) -> list[Finding]:
 def _unit(interval: float, longest: float, label: str) -> list[Finding]:
     if interval <= longest:
         return []
-    column = label if label.isidentifier() else f"`{label}`"
+    column = quoted(label)
     for name, factor in UNITS:
         if SHORTEST <= factor * interval <= longest:
             return [

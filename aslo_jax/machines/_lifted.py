@@ -148,22 +148,28 @@ def lifted(relation: Callable[..., Any], settings: Any) -> Lifted | Adaptive:
             )
     array = lambda x: jnp.asarray(x, float)
     if is_adaptive(settings):
-        return Adaptive(
-            relation,
-            array(settings.output_deviation),
-            array(settings.input_deviation),
-            tuple(settings.parameters),
-            tuple(settings.deviations),
-            settings.drift,
-            settings.hold,
-            settings.bank,
-        )
+        return adaptive(relation, settings)
     return Lifted(
         relation,
         array(settings.output_deviation),
         array(settings.input_deviation),
         prior=settings.prior,
         guard=Guard(limit_of(settings)),
+    )
+
+
+def adaptive(relation: Callable[..., Any], settings: Any) -> Adaptive:
+    """The Kalman filter of a relation some of whose parameters are unknown, with the
+    settings of a machine's file or a study's."""
+    return Adaptive(
+        relation,
+        jnp.asarray(settings.output_deviation, float),
+        jnp.asarray(settings.input_deviation, float),
+        tuple(settings.parameters),
+        tuple(settings.deviations),
+        settings.drift,
+        settings.hold,
+        settings.bank,
     )
 
 

@@ -17,7 +17,6 @@ from ..observers import (
     FO2,
     FO3,
     AbstractObserver,
-    Adaptive,
     AlgebraicObserver,
     Asymptotic,
     ExtendedKalman,
@@ -31,6 +30,7 @@ from ..observers import (
     velocity_observer,
 )
 from ..plants import AbstractMechanicalSystem
+from . import _lifted
 from ._study import Build
 
 Relations = Callable[[Any], Sequence[Any]]  # of a plant
@@ -121,16 +121,7 @@ def adaptive(relations: Relations) -> dict[str, Build]:
     def build(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         del start
         (relation,) = relations(plant)
-        return Adaptive(
-            relation,
-            keys.output_deviation,
-            keys.input_deviation,
-            tuple(keys.parameters),
-            tuple(keys.deviations),
-            keys.drift,
-            keys.hold,
-            keys.bank,
-        )
+        return _lifted.adaptive(relation, keys)
 
     return {"adaptive": build}
 

@@ -15,7 +15,7 @@ from ._adaptive_filter import ALIVE, REACH, AdaptiveKalman
 from ._adaptive_model import Model
 from ._base import AbstractObserver, Estimate
 from ._lifted import _deviation, curved_certificate
-from ._lifted_filter import Run
+from ._lifted_filter import hole_of
 from ._lifting import entries
 
 IMPROBABLE = 5.0  # deviations of a parameter
@@ -163,11 +163,8 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> AdaptiveEstimate:
         law = self.law
-        none = jnp.zeros((), law.model.dtype(u, y))
-        missing = none if F.certain else F.missing.astype(none.dtype)
-        hole = F.evolve(Run(), missing, none, "hole")
-        drive = (u, y, None if F.certain else hole)
-        belief = F.evolve(law, drive, law.start(u, y), "belief")
+        hole = hole_of(F, law.model.dtype(u, y))
+        belief = F.evolve(law, (u, y, hole), law.start(u, y), "belief")
         model, q = law.model, len(self.parameters)
         n = belief.mean.shape[0] - q
         x, P = belief.mean[:n], belief.covariance

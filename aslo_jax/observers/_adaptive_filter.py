@@ -13,6 +13,7 @@ from .._filters import AbstractLaw
 from .._typing import PyTree
 from ._adaptive_model import Model, distance, slope_by_y, turned
 from ._adaptive_start import Fit, Found, emptied, fitted, joined
+from ._lifted_filter import grown
 
 # The bank covers so many deviations of the first parameter, and each of its filters so much
 # of what is between two of them.
@@ -271,8 +272,7 @@ class AdaptiveKalman(AbstractLaw):
         # Each y is in the two intervals that it is between, a half in each.
         by_u, by_y = h * entry.z_by_u, 0.5 * h * entry.z_by_y
         square = square + by_u @ by_u.T + by_y @ by_y.T
-        # All that is held over a hole may be wrong, in the same way from end to end.
-        lost = jnp.maximum(2.0 * hole - 1.0, 0.0) * jnp.sum((moved - x) ** 2)
+        lost = grown(hole) * jnp.sum((moved - x) ** 2)
         square = square + lost * jnp.eye(n, dtype=square.dtype)
         own = P[n:, n:] + h * jnp.diag(self.drift**2)
         P = _bordered(square, cross, own)

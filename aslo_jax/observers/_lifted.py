@@ -15,7 +15,7 @@ from .._realise import Pass
 from .._relations import AbstractTerms, Quadratic
 from .._typing import PyTree
 from ._base import AbstractObserver, Estimate, check_initial
-from ._lifted_filter import LiftedBelief, LiftedKalman, Run
+from ._lifted_filter import LiftedBelief, LiftedKalman, hole_of
 from ._lifting import added, entries, quadratic, rows_of, trace
 
 
@@ -103,12 +103,9 @@ class Lifted(AbstractObserver):
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
         rows, law = rows_of(self.relation, u, y), self.law
-        none = jnp.zeros((), rows[0].z.dtype)
-        hole = F.evolve(
-            Run(), none if F.certain else F.missing.astype(none.dtype), none, "hole"
-        )
-        if not F.certain:
-            law = law.blind(F.missing, hole, u, y)
+        hole = hole_of(F, rows[0].z.dtype)
+        if hole is not None:
+            law = law.blind(hole, u, y)
         belief = F.evolve(law, (u, y), law.start(u, y), "belief")
         return self.judged(F, belief, rows)
 

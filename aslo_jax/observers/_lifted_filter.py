@@ -26,6 +26,7 @@ from .._factored import (
     transposed_times,
 )
 from .._filters import AbstractLaw
+from .._realise import Pass
 from .._relations import AbstractTerms, Linear
 from .._typing import PyTree
 from ._lifted_belief import LiftedBelief, Lists, lists_of
@@ -87,6 +88,22 @@ class Run(AbstractLaw):
         return jnp.asarray(v1 * (X + 1.0), X.dtype)
 
 
+def hole_of(F: Pass, dtype: Any) -> Float[Array, ""] | None:
+    """How many samples in a row are missing, up to that of this pass; `None` where none can
+    be."""
+    none = jnp.zeros((), dtype)
+    drive = none if F.certain else F.missing.astype(dtype)
+    rows = F.evolve(Run(), drive, none, "hole")
+    return None if F.certain else rows
+
+
+def grown(hole: Float[Array, ""]) -> Float[Array, ""]:
+    """The variance that the last of so many missing samples adds, in units of that of one:
+    all that is held over a hole may be wrong in the same way, so that the deviation grows
+    with its length, not with the root."""
+    return jnp.maximum(2.0 * hole - 1.0, 0.0)
+
+
 class LiftedKalman(AbstractLaw):
     """The belief, driven by `(u, y)`: sampled, a prediction over the interval with u held,
     and an update by every row at the y at its end; in continuous time Riccati's equation,
@@ -132,15 +149,14 @@ class LiftedKalman(AbstractLaw):
             return [1.0 / float(jnp.finfo(dtype).eps)] * n
         return entries(jnp.broadcast_to(self.prior**2, (n,)))
 
-    def blind(self, missing: Any, rows: Any, u: PyTree, y: PyTree) -> "LiftedKalman":
-        """As it is, or where a sample is `missing`, the last of so many `rows`, with
-        deviations of what is held in its place: all of it may be wrong, in the same way
-        over the whole hole, so that its deviation grows with the length, not the root."""
-        grown = jnp.sqrt(jnp.maximum(2.0 * rows - 1.0, 1.0))
+    def blind(self, hole: Float[Array, ""], u: PyTree, y: PyTree) -> "LiftedKalman":
+        """As it is, or where a sample is missing, the last of a `hole` of so many, with
+        deviations of what is held in its place, all of which may be wrong."""
+        missing = hole > 0.0
 
         def wide(deviation: PyTree, signal: PyTree, name: str) -> PyTree:
             v, back = ravel_pytree(signal)
-            size = grown.astype(v.dtype) * jnp.linalg.norm(v)
+            size = jnp.sqrt(grown(hole)).astype(v.dtype) * jnp.linalg.norm(v)
             own = spread(deviation, signal, name)
             return back(jnp.where(missing, jnp.maximum(own, size), own))
 

@@ -10,7 +10,7 @@ from ._faults import (
     hint as hint,
     unknown_key as unknown_key,
 )
-from ._read import read_toml as read_toml
+from ._read import read_toml as read_toml, text_and_content as text_and_content
 from ._signals import (
     NoLoad as NoLoad,
     Signal as Signal,

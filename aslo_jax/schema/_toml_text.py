@@ -1,10 +1,11 @@
 """New values in the text of a TOML file, with all else, comments too, as it was."""
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .._extras import missing
+from ._read import MARK
 
 try:
     import tomlkit
@@ -12,7 +13,12 @@ try:
 except ModuleNotFoundError as error:
     raise missing("tomlkit", "cli") from error
 
-MARK = "\ufeff"  # which some editors put first
+
+def rounded(x: Any) -> Any:
+    """A number, or numbers in lists, with seven digits: more than any record determines."""
+    if isinstance(x, Sequence):
+        return [rounded(each) for each in x]
+    return float(f"{x:.7g}")
 
 
 def rewritten(text: str, values: Mapping[str, Mapping[str, Any]]) -> str:

@@ -9,10 +9,8 @@ import jax
 import numpy as np
 
 from ..._typing import PyTree
-from .kept import kept, shape_of, wide_numbers
+from .kept import ONE, kept, key_of, shape_of
 from .program import Bodies, Program
-
-ONE = (2,)  # lanes, of which one is used
 
 
 def once(function: Callable[..., PyTree], *arguments: PyTree) -> PyTree:
@@ -25,10 +23,9 @@ def once(function: Callable[..., PyTree], *arguments: PyTree) -> PyTree:
     leaves, tree = jax.tree.flatten(arrays)
     leaves = [np.asarray(x) for x in leaves]
     shapes = [shape_of(x) for x in leaves]
-    static, structure = jax.tree.flatten(rest)
-    of_leaves = tuple((s.shape, np.dtype(s.dtype)) for s in shapes)
-    key = (function, tuple(static), structure, tree, of_leaves, wide_numbers())
-    program, others = kept(key, lambda: _made(function, rest, tree, shapes))
+    program, others = kept(
+        key_of(rest, shapes, function, tree), lambda: _made(function, rest, tree, shapes)
+    )
     _, final = program({"shared": leaves}, 1, 0)
     return eqx.combine(jax.tree.map(lambda x: x[0], final), others)
 

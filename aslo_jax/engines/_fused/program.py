@@ -141,9 +141,13 @@ class Inputs:
         return [n for numbers in constant_in_time(self.by_kind).values() for n in numbers]
 
 
+def wide() -> bool:
+    """Whether JAX is in double precision."""
+    return jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+
+
 def _step() -> jax.ShapeDtypeStruct:
-    wide = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
-    return jax.ShapeDtypeStruct((), np.dtype(np.int64 if wide else np.int32))
+    return jax.ShapeDtypeStruct((), np.dtype(np.int64 if wide() else np.int32))
 
 
 class Program:

@@ -12,12 +12,8 @@ from ..._checks import is_concrete
 from ..._typing import PyTree
 from ...observers import AbstractObserver, ObserverState
 from .._runtime.host import widths
-from .kept import kept, shape_of, wide_numbers
+from .kept import ONE, kept, key_of, shape_of
 from .program import Bodies, Program
-
-# Lanes for a single log, which is bound by the length of its chain of operations, so that
-# more of them gain nothing.
-ONE = 2
 
 
 def replay_fused(
@@ -112,13 +108,6 @@ class _Replay:
             advance,
             lambda state, inputs: state,
         )
-        make = lambda: Program.of(bodies, shapes, (ONE,) if lanes == 1 else widths())
-        return kept(self._key(shapes), make)(inputs, lanes, steps)
-
-    def _key(self, shapes: PyTree) -> tuple[Any, ...]:
-        """Of what a program depends on; it may not be hashable."""
-        rest = jax.tree.flatten(self.rest)
-        leaves, tree = jax.tree.flatten(shapes)
-        of_leaves = tuple((s.shape, np.dtype(s.dtype)) for s in leaves)
-        how = self.substeps, self.coasts
-        return tuple(rest[0]), rest[1], self.tree, *how, of_leaves, tree, wide_numbers()
+        make = lambda: Program.of(bodies, shapes, ONE if lanes == 1 else widths())
+        key = key_of(self.rest, shapes, self.tree, self.substeps, self.coasts)
+        return kept(key, make)(inputs, lanes, steps)

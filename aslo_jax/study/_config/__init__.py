@@ -37,7 +37,7 @@ from .file import (
     ConfigurationError as ConfigurationError,
     configure as configure,
     read_configuration as read_configuration,
-    text_of as text_of,
+    read_study as read_study,
 )
 
 __all__ = [
@@ -46,5 +46,5 @@ __all__ = [
     "ConfigurationError",
     "configure",
     "read_configuration",
-    "text_of",
+    "read_study",
 ]

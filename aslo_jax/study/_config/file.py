@@ -5,7 +5,6 @@ import dataclasses
 import functools
 import tomllib
 from collections.abc import Callable, Collection, Mapping, Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
@@ -13,10 +12,10 @@ import numpy as np
 from pydantic import Field, ValidationError, create_model
 
 from ..._experiment import Experiment
-from ..._studies import NAMES
+from ..._studies import NAMES, ready_made
 from ...machines import Study, studies
 from ...metrics._base import MakeMetric
-from ...schema import Positive, Table, Whole, explain, key, read_toml
+from ...schema import Positive, Table, Whole, explain, key, text_and_content
 from .._names import check_names
 from .._spread import Spread, names_of
 from .control import Control
@@ -120,22 +119,24 @@ class Configuration:
         }
 
 
-def text_of(path: Path | str) -> str:
-    """The text of a study's file, valid TOML, or of the ready-made one of that name.
-
-    **Raises:** [`ConfigurationError`][] for text that is not TOML; `FileNotFoundError`
-    where there is neither a file nor a ready-made one.
-    """
+def read_study(path: Path | str) -> tuple[str, dict[str, Any], Configuration]:
+    """The text and the content of a study's file, or of the ready-made one of that name
+    (`NAMES`), and what it describes; see [`read_configuration`][]."""
     name, path = str(path), Path(path)
     if name in NAMES:
-        return (files("aslo_jax.study") / "configs" / f"{name}.toml").read_text("utf-8")
-    if not path.is_file():
+        text = ready_made(name)
+        content = tomllib.loads(text)
+    elif path.is_file():
+        text, content = text_and_content(path, ConfigurationError)
+    else:
         raise FileNotFoundError(
             f"{name} is neither a file nor a ready-made study; those are "
             f"{', '.join(NAMES)}."
         )
-    read_toml(path, ConfigurationError)
-    return path.read_text(encoding="utf-8")
+    try:
+        return text, content, configure(content)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{name}: {error}") from None
 
 
 def read_configuration(path: Path | str) -> Configuration:
@@ -145,12 +146,7 @@ def read_configuration(path: Path | str) -> Configuration:
     missing, unknown, out of range, or does not suit the machine; `FileNotFoundError` where
     there is neither a file nor a ready-made one.
     """
-    name, text = str(path), text_of(path)
-    content = tomllib.loads(text.removeprefix("\ufeff"))
-    try:
-        return configure(content)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{name}: {error}") from None
+    return read_study(path)[2]
 
 
 def configure(content: Mapping[str, Any]) -> Configuration:

@@ -106,10 +106,9 @@ class KalmanTable(AbstractObserverTable):
     )
 
 
-class LiftedTable(AbstractObserverTable):
-    """The Kalman filter of the plant's relation."""
+class AbstractNoiseTable(AbstractObserverTable, abc.ABC):
+    """A Kalman filter of the plant's relation, which is told of the noise."""
 
-    kind: Literal["lifted_kalman"] = key("the kind of observer")
     output_deviation: Deviation = key(
         "standard deviation of the noise on every sample of the output (its unit)",
         allowed=DEVIATION,
@@ -118,6 +117,12 @@ class LiftedTable(AbstractObserverTable):
         "standard deviation of the noise on every sample of the input (its unit)",
         allowed=DEVIATION,
     )
+
+
+class LiftedTable(AbstractNoiseTable):
+    """The Kalman filter of the plant's relation."""
+
+    kind: Literal["lifted_kalman"] = key("the kind of observer")
     prior: Positive | None = key(
         "standard deviation of the first belief of every estimated state (its unit), by "
         "default infinite",
@@ -130,18 +135,10 @@ class LiftedTable(AbstractObserverTable):
     )
 
 
-class AdaptiveTable(AbstractObserverTable):
+class AdaptiveTable(AbstractNoiseTable):
     """The Kalman filter of the plant's relation with unknown parameters."""
 
     kind: Literal["adaptive"] = key("the kind of observer")
-    output_deviation: Deviation = key(
-        "standard deviation of the noise on every sample of the output (its unit)",
-        allowed=DEVIATION,
-    )
-    input_deviation: Deviation = key(
-        "standard deviation of the noise on every sample of the input (its unit)",
-        allowed=DEVIATION,
-    )
     parameters: list[str] = key(
         "what is not known, by name, that with the bank first",
         default=["resistance", "magnet_flux"],
