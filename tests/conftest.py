@@ -26,6 +26,9 @@ if tuple(map(int, version("jaxlib").split(".")[:2])) <= (0, 10):
         "--xla_cpu_parallel_codegen_split_count=1",
     )
 
+# Two workers fill two processors: a second thread of NumPy's linear algebra only spins.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import hypothesis
 import jax
 import pytest

@@ -1,6 +1,7 @@
 """The command line, `aslo-jax`."""
 
 import gc
+import os
 import sys
 from collections.abc import Sequence
 
@@ -16,7 +17,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     an interrupt (SIGINT) and a request to terminate (SIGTERM), which end it within a second
     and leave nothing behind that is not complete."""
     with ended_by_signals(restored=arguments is not None):
+        if "numpy" not in sys.modules:
+            _one_thread_of_linear_algebra()
         _run(arguments)
+
+
+def _one_thread_of_linear_algebra() -> None:
+    """Keep NumPy's linear algebra, which reads its number of threads as it loads, to one:
+    our matrices have a few columns, and after each of them a second thread spins while it
+    waits for the next, up to a third of the processor time of a long log."""
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
 
 
 def _run(arguments: Sequence[str] | None) -> None:

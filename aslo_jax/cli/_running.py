@@ -20,6 +20,7 @@ from ..diagnosis import (
 from ..logs import Log, LogReader, TableWriter
 from ..machines import AbstractDescription
 from ..machines._base import Rates
+from ..machines._condensed import CondensedLog, Condensing
 from ..machines._noise import pooled, white_noise
 from . import _table as table
 from ._summary import Summary
@@ -72,7 +73,7 @@ def opened(
 ) -> tuple[LogReader, Rates]:
     """A log, read once and checked, and the rates of the observer for it; `chain` is what
     else [`LogReader`][] takes."""
-    watched: list[Log] = []
+    condensing = Condensing(machine.condensed)
     known = not machine.chooses(given)
     reader = LogReader(
         path,
@@ -80,20 +81,14 @@ def opened(
         columns=columns,
         truth=truth,
         max_gap=max_gap,
-        watch=lambda log: None if known else watched.append(machine.condensed(log)),
+        watch=lambda log: None if known else condensing.add(log),
         **chain,
     )
     if known:
         nothing = np.zeros((reader.t.size, 0))
-        return reader, machine.rates_of(Log(reader.t, nothing, nothing, {}), given)
-    joined = lambda pieces: np.concatenate(list(pieces))
-    u, y = joined(x.u for x in watched), joined(x.y for x in watched)
-    watched.clear()
-    there = np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)
-    if not there.all():  # samples that are missing are left to the observer
-        condensed = Log(reader.t[there], u[there], y[there], {})
+        condensed = CondensedLog(reader.t, nothing, nothing, {})
     else:
-        condensed = Log(reader.t, u, y, {})
+        condensed = condensing.result(reader.t)
     return reader, machine.rates_of(condensed, given)
 
 

@@ -18,9 +18,10 @@ from ..logs import Log, Signals
 from ..observers import AbstractObserver, AlgebraicObserver, Asymptotic
 from ..plants import AbstractPlant
 from ..schema import Table, is_rate
+from ._condensed import CondensedLog, Condensing, blocks
 from ._keys import CalibrationTable
 from ._lifted import NO_EFFECT, is_lifted, kind_of, no_effect
-from ._noise import Groups, Noise, white_noise
+from ._noise import Groups, Noise, pooled, white_noise
 from ._study import Study
 
 Columns = dict[str, np.ndarray]
@@ -161,7 +162,7 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         """The plant described by `[machine]`."""
 
     @abc.abstractmethod
-    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
+    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, float]) -> Rates:
         """The rates of the observer that are not `stated`, where there are defaults for
         them without a log or, if there is one, `condensed`, with it. Refuses a stated rate
         that does not suit the log."""
@@ -230,19 +231,23 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         """Those of the columns `certificate` and `coasting`."""
         return self.columns_of_log().suffixes()
 
-    def condensed(self, log: Log) -> Log:
+    def condensed(self, log: Log) -> CondensedLog:
         """Of a log, or of a piece of one, what `default_rates` looks at where a rate is not
         stated, in as few columns as it takes: of a long log they are all that is held in
         memory. By default nothing but the instants."""
         nothing = np.zeros((log.t.size, 0))
-        return Log(log.t, nothing, nothing, {})
+        return CondensedLog(log.t, nothing, nothing, {})
 
     def rates(
         self, log: Log | None = None, given: Mapping[str, float] | None = None
     ) -> Rates:
         """The rates of the observer by their keys in `[observer]`: those `given` (rad/s),
         then those of the file, then the defaults, for which a cutoff may need the `log`."""
-        return self.rates_of(None if log is None else self.condensed(log), given)
+        if log is None:
+            return self.rates_of(None, given)
+        condensing = Condensing(self.condensed)
+        condensing.add(log)
+        return self.rates_of(condensing.result(log.t), given)
 
     def noise_groups(self) -> tuple[Groups, Groups]:
         """Which entries of u, and of y, have noise of one deviation; by default all."""
@@ -279,7 +284,9 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         """[`AbstractDescription.with_noise`][] of a log in memory, where that lacks."""
         if not self.lacks_noise:
             return self
-        return self.with_noise(white_noise(log.u, log.y, *self.noise_groups()))[0]
+        of, groups = blocks(log.t.size), self.noise_groups()
+        found = pooled([white_noise(log.u[k], log.y[k], *groups) for k in of])
+        return self.with_noise(found)[0]
 
     def stated(self, given: Mapping[str, float] | None = None) -> dict[str, float]:
         """The rates that are `given` (rad/s) or in the file, by their keys."""
@@ -304,7 +311,7 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         return any(k in fields and k not in self.stated(given) for k in FROM_THE_LOG)
 
     def rates_of(
-        self, condensed: Log | None, given: Mapping[str, float] | None = None
+        self, condensed: CondensedLog | None, given: Mapping[str, float] | None = None
     ) -> Rates:
         """[`AbstractDescription.rates`][] of a log that is `condensed`."""
         stated = self.stated(given)

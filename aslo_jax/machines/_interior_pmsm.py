@@ -26,6 +26,7 @@ from ._base import (
     Unknowns,
     algebraic,
 )
+from ._condensed import CondensedLog
 from ._lifted import LIFTED, ObserverTable, is_lifted, lifted
 
 
@@ -126,7 +127,7 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
             )
         return InteriorPMSM(**self.machine.model_dump(exclude={"kind"}))
 
-    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
+    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, float]) -> Rates:
         rates = motor.motor_rates(log, stated)
         cutoff = rates["cutoff"].value if "cutoff" in rates else stated.get("cutoff")
         needed = self.observer.saliency == "self-consistent" and "gain" not in stated
@@ -134,7 +135,7 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
             rates["gain"] = Rate(cutoff, "that of the filter")
         return rates
 
-    def condensed(self, log: Log) -> Log:
+    def condensed(self, log: Log) -> CondensedLog:
         return motor.driving(log, self.machine.resistance)
 
     def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:

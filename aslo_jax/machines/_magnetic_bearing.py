@@ -25,6 +25,7 @@ from ._base import (
     in_columns,
     relative,
 )
+from ._condensed import CondensedLog
 from ._lifted import ObserverTable, is_lifted, lifted
 from ._study import Study
 
@@ -169,7 +170,7 @@ class MagneticBearingDescription(
         table = self.machine.model_dump(exclude={"kind", "resistance"})
         return MagneticBearing(np.asarray(self.machine.resistance), **table)
 
-    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
+    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, float]) -> Rates:
         defaults = {
             "cutoff": Rate(CUTOFF, "by default"),
             "velocity_cutoff": Rate(VELOCITY_CUTOFF, "by default"),

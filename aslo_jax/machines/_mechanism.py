@@ -28,6 +28,7 @@ from ._base import (
     certified,
     relative,
 )
+from ._condensed import CondensedLog
 from ._frequency import cutoff_for_positions
 from ._study import Study
 
@@ -143,7 +144,7 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
         """The form of its observer."""
         return structure_of(self.plant())
 
-    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
+    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, float]) -> Rates:
         fastest = self._fastest_decay()
         if "cutoff" in stated:
             if stated["cutoff"] <= fastest:
@@ -160,8 +161,8 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
             cutoff, why = 2.0 * fastest, "twice the varying friction over its inertia"
         return {"cutoff": Rate(cutoff, why)}
 
-    def condensed(self, log: Log) -> Log:
-        return Log(log.t, np.zeros((log.t.size, 0)), log.y, {})
+    def condensed(self, log: Log) -> CondensedLog:
+        return CondensedLog(log.t, np.zeros((log.t.size, 0)), log.y, {})
 
     def _fastest_decay(self) -> float:
         """The largest varying friction over its inertia (1/s), zero where there is none."""

@@ -27,6 +27,7 @@ from ._base import (
     length,
     relative,
 )
+from ._condensed import CondensedLog
 from ._lifted import ObserverTable, deviations_of, is_lifted, lifted
 from ._speed import cutoff_for, turning_speed
 from ._study import Study
@@ -140,7 +141,7 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
     def plant(self) -> Any:
         return WRIM(**self.machine.model_dump(exclude={"kind"}))
 
-    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
+    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, float]) -> Rates:
         if "cutoff" in stated:
             rotor = stated.get("rotor_cutoff", stated["cutoff"])
             return {} if "rotor_cutoff" in stated else {"rotor_cutoff": Rate(rotor)}
@@ -157,11 +158,11 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
     def noise_groups(self):
         return ((0, 1), (2, 3)), ((0, 1), (2, 3))
 
-    def condensed(self, log: Log) -> Log:
+    def condensed(self, log: Log) -> CondensedLog:
         R_s, R_r = self.machine.stator_resistance, self.machine.rotor_resistance
         v = -np.repeat([R_s, R_r], 2) * log.y
         v[:, : log.u.shape[1]] += log.u
-        return Log(log.t, v, np.zeros((log.t.size, 0)), {})
+        return CondensedLog(log.t, v, np.zeros((log.t.size, 0)), {})
 
     def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         settings, plant = self.observer, self.plant()

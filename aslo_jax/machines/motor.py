@@ -26,6 +26,7 @@ from ._base import (
     certified,
     in_columns,
 )
+from ._condensed import CondensedLog
 from ._lifted import (
     ObserverTable,
     deviations_of,
@@ -34,7 +35,7 @@ from ._lifted import (
     parameters_of,
     turning_deviation,
 )
-from ._noise import white_noise
+from ._noise import Noise, white_noise
 from ._speed import cutoff_for, slow_speed, turning_acceleration, turning_speed, two_rates
 
 PLL_BANDWIDTH = 100.0  # rad/s, unless the log accelerates fast
@@ -114,10 +115,10 @@ def with_load(plant: Any, table: Any) -> Any:
     return plant(**settings, load=table.load.signal())
 
 
-def driving(log: Log, resistance: float) -> Log:
-    """A log of the derivative of the flux, `u - R i` (V), alone."""
+def driving(log: Log, resistance: float, noise: Noise | None = None) -> CondensedLog:
+    """A log of the derivative of the flux, `u - R i` (V), alone, and its `noise`."""
     v = log.u - resistance * log.y
-    return Log(log.t, v, np.zeros((log.t.size, 0)), {})
+    return CondensedLog(log.t, v, np.zeros((log.t.size, 0)), {}, noise=noise)
 
 
 def motor_rates(log: Log | None, stated: Mapping[str, float]) -> Rates:
@@ -205,29 +206,32 @@ class AbstractRoundMotor(AbstractDescription[M, MotorObserver], abc.ABC, Generic
     def plant(self) -> AbstractRoundMachine:
         """The motor described by `[machine]`."""
 
-    def default_rates(self, log: Log | None, stated: Mapping[str, float]) -> Rates:
-        if log is None:
-            return motor_rates(log, stated)
-        driven = driving(log, self._values().resistance)
-        rates = motor_rates(driven, stated)
-        return rates | self._two_rates(log, driven, stated)
+    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, float]) -> Rates:
+        rates = motor_rates(log, stated)
+        return rates if log is None else rates | self._two_rates(log, stated)
 
-    def condensed(self, log: Log) -> Log:
-        return Log(log.t, log.u, log.y, {})
+    def condensed(self, log: Log) -> CondensedLog:
+        noise = None
+        if self._has_two_rates(self.stated()):
+            noise = white_noise(log.u, log.y, *self.noise_groups())
+        return driving(log, self._values().resistance, noise)
 
-    def _two_rates(self, log: Log, driven: Log, stated: Mapping[str, float]) -> Rates:
-        """Cutoff and forgetting for a log with noise, where they are left to it."""
+    def _has_two_rates(self, stated: Mapping[str, float]) -> bool:
         settings = self.observer
         plain = settings.completion == "least-squares" and settings.start == "exact"
-        if not plain or {"cutoff", "forgetting", "gain"} & stated.keys():
+        return plain and not {"cutoff", "forgetting", "gain"} & stated.keys()
+
+    def _two_rates(self, log: CondensedLog, stated: Mapping[str, float]) -> Rates:
+        """Cutoff and forgetting for a log with noise, where they are left to it."""
+        found = log.noise
+        if found is None or not self._has_two_rates(stated):
             return {}
-        found = white_noise(log.u, log.y, *self.noise_groups())
         if found.least_output:  # what sampling leaves wants other rates than noise does
             return {}
         values, (of_y, of_u) = self._values(), (found.output[0], found.input[0])
         seen = 2.0**0.5 * values.inductance * of_y
         drift = float(np.hypot(of_u, values.resistance * of_y) / seen)
-        speed = slow_speed(driven.t, driven.u, float(self.plant().magnet_flux))
+        speed = slow_speed(log.t, log.u, float(self.plant().magnet_flux))
         cutoff, forgetting = two_rates(speed, drift)
         why = f"for {speed:.4g} rad/s, and noise of {of_y:.2g} A and {of_u:.2g} V"
         return {"cutoff": Rate(cutoff, why), "forgetting": Rate(forgetting, why)}
