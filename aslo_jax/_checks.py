@@ -146,6 +146,18 @@ def nonnegative(name: str, x: Array | np.ndarray | float) -> None:
         )
 
 
+def told_apart(steps: int, interval: Any) -> None:
+    """Refuse more samples than the precision of the `interval` can count: their instants
+    would fall together, and so would the noise that is keyed by them."""
+    most = 2 ** (np.finfo(interval.dtype).nmant + 1)
+    if steps > most:
+        raise ValueError(
+            f"Argument `steps` must be at most {most} in {interval.dtype}, whose instants "
+            f"fall together after that, but got {steps}; give `interval` in float64 (with "
+            "JAX's `jax_enable_x64`), or divide the run."
+        )
+
+
 def divides(every: int, steps: int) -> None:
     """Refuse to record one of every so many `steps` where that misses the last."""
     if steps < 1 or every < 1 or steps % every:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from ._checks import counted, divides, function, kind, positive, real
+from ._checks import counted, divides, function, kind, positive, real, told_apart
 from ._module import Module
 from ._runge_kutta import runge_kutta
 from ._typing import PyTree
@@ -158,6 +158,7 @@ class Experiment(Module, Generic[Est]):
         leaves with a leading axis of length `steps // every + 1`."""
         steps, every = counted("steps", steps), counted("every", every)
         divides(every, steps)
+        told_apart(steps, self.interval)
         return _run(self, steps, every)
 
     def _first(self, t, y, u):

@@ -72,8 +72,9 @@ class SampledNoise(AbstractDisturbance):
 
 
 def held_index(t: Float[Array, ""], interval: float) -> Array:
-    """The k of `k interval <= t < (k + 1) interval`, exact in floating point."""
+    """The k of `k interval <= t < (k + 1) interval`, exact in floating point as long as
+    that can count the intervals: up to 2**53 of them in float64, 2**24 in float32."""
     k = jnp.floor(t / interval)
     k = jnp.where((k + 1.0) * interval <= t, k + 1.0, k)
     k = jnp.where(k * interval > t, k - 1.0, k)
-    return k.astype(jnp.int32)
+    return k.astype(jnp.int64 if k.dtype == jnp.float64 else jnp.int32)

@@ -10,7 +10,16 @@ import jax.numpy as jnp
 import wadler_lindig as wl
 
 from .. import _choices
-from .._checks import counted, divides, function, kind, one_of, unlike, whole
+from .._checks import (
+    counted,
+    divides,
+    function,
+    kind,
+    one_of,
+    told_apart,
+    unlike,
+    whole,
+)
 from .._experiment import Experiment, Record
 from .._module import WIDTH
 from .._typing import Engine, PyTree, RunningEngine
@@ -20,6 +29,8 @@ from ._fused.batch import Fused
 from ._fused.plan import Batch as Batch, Plan
 from ._fused.refusal import notice, refusal
 from ._samples import arrays, fitted, lanes_of, shape_of, words
+
+COUNTED = 2**24  # steps that every precision counts
 
 
 class Runner:
@@ -80,6 +91,8 @@ class Runner:
         kind("metrics", metrics, Mapping, hint="metrics by name, a dictionary")
         self.steps, self.every, self.block = steps, every, block
         self._like = like = jax.tree.map(shape_of, words(like))
+        if steps > COUNTED:
+            told_apart(steps, jax.eval_shape(lambda x: make(x).interval, like))
         self._plan = Plan(make, _metrics(make, like, metrics or {}), record)
         self._fused, self._may_scan = None, engine == "auto"
         if engine != "scan":
