@@ -95,7 +95,7 @@ def test_the_numbers_of_the_tables(dataset, page):
         assert cells[cell] == [value, low, "to", high]
     found = rms(size, key=jax.random.key(41))
     assert cells[6][0] == number(1e3 * found.value)
-    assert cells[7] == [number(1e3 * size.max())]
+    assert cells[7] == [number(1e3 * size.max()), "sample", str(size.argmax())]
     assert cells[8][0] == number(found.value / 5e-4)
     bound = row(page, "rms", "Cramér-Rao bound")
     assert bound[6] == ["0.500"]
@@ -104,7 +104,8 @@ def test_the_numbers_of_the_tables(dataset, page):
 def test_samples_that_diverged_count_as_worst(dataset, page):
     cells = row(page, "rms", "Peer &lt;1&gt;")
     assert cells[0] == ["2"]
-    assert cells[5] == cells[6] == cells[7] == ["∞"]
+    assert cells[5] == cells[6] == ["∞"]
+    assert cells[7] == ["∞", "sample", "5"]  # the first of them
     share = proportion(3, SAMPLES)
     ends = [number(100 * share.low), "%", "to", number(100 * share.high), "%"]
     assert cells[9] == ["3", *ends]

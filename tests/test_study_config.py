@@ -12,7 +12,7 @@ import pytest
 from aslo_jax.cli import main
 from aslo_jax.study import open_study
 from aslo_jax.study._config import NAMES, ConfigurationError, configure, read_configuration
-from aslo_jax.study._spread import Sampler
+from aslo_jax.study._spread import Sampler, names_of
 
 FOLDER = files("aslo_jax.study") / "configs"
 
@@ -95,7 +95,10 @@ def test_ready_made_studies_step(name):
     assert hidden == (len(found.entries),)
     assert {e.value.shape for e in record.estimates.values()} == {hidden}
     assert found.scale is None or found.scale.shape == hidden
-    assert set(found.units) == {*found.metrics, "error"}
+    spread = {f"parameter_{name}" for name in names_of(found.spread)}
+    assert (
+        {*found.metrics, "error"} <= set(found.units) <= {*found.metrics, "error", *spread}
+    )
 
 
 def test_mismatch_is_of_the_plant_alone():

@@ -103,6 +103,15 @@ def study(
             "those of the study that is resumed.",
         ),
     ] = None,
+    replay: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            metavar="INDEX",
+            help="Run that sample of the study again, and no other, and write every signal "
+            "of it to sample_INDEX.csv in --out, with its figure.",
+        ),
+    ] = None,
     report: Annotated[
         bool, typer.Option(help="Write the report and its figures, at the end.")
     ] = True,
@@ -127,6 +136,11 @@ def study(
 
     if cluster is not None and workers is not None:
         raise ValueError("--cluster and --workers exclude each other; give one of them.")
+    if replay is not None and (resume or workers or cluster or sensitivity):
+        raise ValueError(
+            "--replay excludes --resume, --workers, --cluster and --sensitivity; leave "
+            "them out."
+        )
     refuse_loop(out)
     refuse_loop(Path(config))
     if out.exists() and not out.is_dir():
@@ -135,6 +149,11 @@ def study(
     for package in [*wanted, *(["SALib"] if sensitivity else [])]:
         require(package, "study")
     configuration = read_configuration(config)
+    if replay is not None:
+        from ._sample_again import again
+
+        again(configuration, samples, seed, replay, out, engine.value, report, quiet)
+        return
     if sensitivity:
         _rms(configuration)
     begun = time.perf_counter()
@@ -239,4 +258,16 @@ def _summary(title: str, dataset, spent: float) -> None:
         for observer in dataset["observer"].values:
             middle = variable.sel(observer=observer).astype(float).median("sample")
             numbers = ", ".join(f"{float(x):.3g}" for x in middle.values.reshape(-1))
-            typer.echo(f"  {observer}: {numbers}")
+            typer.echo(f"  {observer}: {numbers}{_worst(dataset, str(name), observer)}")
+
+
+def _worst(dataset: Any, name: str, observer: Any) -> str:
+    """Where the metric is worst, which --replay shows."""
+    from ..study._statistics import judged
+    from ..study._tables import is_flag, magnitude
+
+    if is_flag(dataset[name]):
+        return ""
+    sizes = judged(magnitude(dataset, name, observer))
+    alike = sizes.max() == sizes.min()
+    return "" if alike else f"; worst in sample {int(sizes.argmax())}"

@@ -26,6 +26,7 @@ from ._table import (
     Whole as Whole,
     is_rate as is_rate,
     key as key,
+    unit_of as unit_of,
 )
 from ._template import template_lines as template_lines
 
@@ -47,5 +48,6 @@ __all__ = [
     "key",
     "read_toml",
     "template_lines",
+    "unit_of",
     "unknown_key",
 ]

@@ -50,4 +50,10 @@ def key(
 
 def is_rate(field: Any) -> bool:
     """Whether a `field` of a table is a rate (rad/s)."""
-    return bool(field.json_schema_extra) and field.json_schema_extra["unit"] == "rad/s"
+    return unit_of(field) == "rad/s"
+
+
+def unit_of(field: Any) -> str:
+    """The unit of a `field` of a table, empty where it has none."""
+    notes = field.json_schema_extra
+    return str(notes["unit"]) if notes else ""

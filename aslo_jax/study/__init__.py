@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ._comparison import compare as compare, ranking as ranking
     from ._influence import influences as influences
     from ._reference import bound_of as bound_of
+    from ._rerun import Rerun as Rerun, rerun as rerun
     from ._sensitivity import slopes as slopes, sobol_indices as sobol_indices
     from ._statistics import quantile as quantile, summarise as summarise
 
@@ -33,6 +34,7 @@ __all__ = [
     "LogNormal",
     "Normal",
     "Parameter",
+    "Rerun",
     "Spread",
     "Uniform",
     "bound_of",
@@ -42,6 +44,7 @@ __all__ = [
     "open_study",
     "quantile",
     "ranking",
+    "rerun",
     "run",
     "slopes",
     "sobol_indices",
@@ -60,6 +63,8 @@ _LATER = {
     "ranking": "_comparison",
     "influences": "_influence",
     "write_report": "._report",
+    "Rerun": "_rerun",
+    "rerun": "_rerun",
     "slopes": "_sensitivity",
     "sobol_indices": "_sensitivity",
     "quantile": "_statistics",

@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import json
 import re
+from collections.abc import Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -17,6 +18,7 @@ from .._experiment import Experiment, Record
 from .._module import Module
 from .._typing import Engine
 from ..engines import Runner
+from ..metrics import AbstractMetric
 from ..metrics._base import MakeMetric, metric_of
 from ._leaves import Layout
 from ._names import check_names
@@ -83,6 +85,17 @@ class ErrorNorms(Module):
         return jnp.stack(norms)
 
 
+def of_each(
+    metrics: Mapping[str, MakeMetric], observers: Iterable[str]
+) -> dict[str, AbstractMetric]:
+    """Every metric of every observer, by `metric/observer`."""
+    return {
+        f"{metric}/{observer}": metric_of(make, observer)
+        for metric, make in metrics.items()
+        for observer in observers
+    }
+
+
 class Study:
     """A problem, traced: `schema` of its results, and [`Study.chunk`][] of them. It can be
     sent to other processes; what is not compiled yet is compiled there."""
@@ -93,11 +106,7 @@ class Study:
             problem.experiment, problem.spread, problem.seed, problem.samples
         )
         refuse_impossible(self.sampler, problem.samples)
-        metrics = {
-            f"{metric}/{observer}": metric_of(make, observer)
-            for metric, make in problem.metrics.items()
-            for observer in problem.observers
-        }
+        metrics = of_each(problem.metrics, problem.observers)
         scale = None if problem.scale is None else jnp.asarray(problem.scale)
         norms = ErrorNorms(tuple(problem.observers), scale)
         self.runner = Runner(

@@ -97,13 +97,12 @@ def run(
         refuse_taken(Path(store))  # before anything that takes time
     if repair and not (resume and store is not None):
         raise ValueError("Argument `repair` must go with `resume`, and with a `store`.")
-    spread = spread if isinstance(spread, Spread) else Spread(spread)
     problem = Problem(
         experiment=experiment,
-        spread=spread,
-        samples=_whole("samples", samples),
+        spread=spread if isinstance(spread, Spread) else Spread(spread),
+        samples=whole("samples", samples),
         seed=random.seed_of(key),
-        steps=_steps(experiment, steps, horizon),
+        steps=steps_of(experiment, steps, horizon),
         metrics=dict(metrics),
         every=every,
         scale=None if scale is None else np.asarray(scale, float),
@@ -116,14 +115,14 @@ def run(
     with nullcontext() if store is None else locked(Path(store)):
         starting = [] if client is None else start_workers(client)
         study = Study(problem, threads if client is None else 1)
-        target = whole = None
+        target = held = None
         if store is None:
-            whole = _allocated(study.schema)
+            held = _allocated(study.schema)
         else:
             target = open_store(Path(store), study.schema, resume, repair)
-        _fill(study, target, whole, client, progress)
+        _fill(study, target, held, client, progress)
         del starting
-    return open_study(store) if store is not None else _dataset(study.schema, whole or {})
+    return open_study(store) if store is not None else _dataset(study.schema, held or {})
 
 
 def _fill(
@@ -213,7 +212,8 @@ def _progress(
         yield lambda samples: bar.update(samples * problem.steps)
 
 
-def _whole(name: str, x: int) -> int:
+def whole(name: str, x: int) -> int:
+    """A whole number from 1."""
     if x < 1 or x != int(x):
         raise ValueError(f"Argument `{name}` must be a whole number from 1, but got {x}.")
     return int(x)
@@ -222,17 +222,18 @@ def _whole(name: str, x: int) -> int:
 def _chunk(chunk: int | None, store: str | Path | None, resume: bool) -> int:
     """Whole blocks; those of a store that is gone on with, which its arrays are cut by."""
     if chunk is not None:
-        return -(-_whole("chunk", chunk) // BLOCK) * BLOCK
+        return -(-whole("chunk", chunk) // BLOCK) * BLOCK
     if resume and store is not None and Path(store).exists():
         return int(stored_attributes(Path(store)).get("chunk", CHUNK))
     return CHUNK
 
 
-def _steps(experiment: Experiment, steps: int | None, horizon: float | None) -> int:
+def steps_of(experiment: Experiment, steps: int | None, horizon: float | None) -> int:
+    """The number of intervals, as given or in the `horizon` (s)."""
     if (steps is None) == (horizon is None):
         raise ValueError("One of the arguments `steps` and `horizon` must be given.")
     if steps is not None:
-        return _whole("steps", steps)
+        return whole("steps", steps)
     interval = float(experiment.interval)
     assert horizon is not None
     count = round(horizon / interval)

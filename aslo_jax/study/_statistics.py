@@ -42,8 +42,9 @@ class Summary(NamedTuple):
     - `samples`; `failures` of them, where the metric is not a finite number, and the
       `failing` proportion they estimate;
     - `low`, `median`, `high`: the quantiles 5, 50 and 95 %; `mean`, `rms` over samples;
-    - `worst`, the largest value; with the confidence asked for, at least the proportion
-      `below` of all possible samples lies at or below it.
+    - `worst`, the largest value, and the first sample, counted from 0, that has it; with
+      the confidence asked for, at least the proportion `below` of all possible samples lies
+      at or below it.
     """
 
     samples: int
@@ -55,6 +56,7 @@ class Summary(NamedTuple):
     mean: Interval
     rms: Interval
     worst: float
+    worst_sample: int
     below: float
 
 
@@ -81,6 +83,7 @@ def summarise(
         mean=mean(x, confidence, key),
         rms=rms(x, confidence, key),
         worst=float(ordered[-1]),
+        worst_sample=int(np.argmax(x)),
         below=(1.0 - confidence) ** (1.0 / x.size),
     )
 

@@ -47,7 +47,7 @@ def table(dataset: Any, name: str, confidence: float, seed: int = 0) -> Table:
 def metrics(dataset: Any) -> list[str]:
     """The names of the metrics that are numbers: the variables over `sample` and `observer`
     that have no `time` and are not yes or no."""
-    return [name for name in _of_samples(dataset) if not _is_flag(dataset[name])]
+    return [name for name in _of_samples(dataset) if not is_flag(dataset[name])]
 
 
 def proportions(dataset: Any, confidence: float) -> Mapping[str, Mapping[str, Interval]]:
@@ -59,7 +59,7 @@ def proportions(dataset: Any, confidence: float) -> Mapping[str, Mapping[str, In
             for flags in [dataset[name].sel(observer=observer).values.astype(bool)]
         }
         for name in _of_samples(dataset)
-        if _is_flag(dataset[name])
+        if is_flag(dataset[name])
     }
 
 
@@ -128,5 +128,6 @@ def _entries(variable: Any) -> str:
     return ", norm of the entries" if several else ""
 
 
-def _is_flag(variable: Any) -> bool:
+def is_flag(variable: Any) -> bool:
+    """Whether a metric says yes or no."""
     return variable.dtype == bool or variable.name == "diverged"

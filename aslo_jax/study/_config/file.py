@@ -23,7 +23,7 @@ from .disturbances import Disturbance, chained
 from .metrics import Metric
 from .observers import Observer
 from .shapes import check_shapes
-from .spread import SpreadItem, parameter
+from .spread import SpreadItem, parameter, parameter_units
 
 MOST_STEPS = 10**9  # of a trajectory: samples in time are counted in 32 bits
 MOST_KEPT = 10**5  # errors of a trajectory that are kept
@@ -226,7 +226,9 @@ def _configured(table: AbstractStudyTable) -> Configuration:
         steps=steps,
         every=table.every,
         scale=None if table.scale is None else np.asarray(table.scale),
-        units=named | {"error": "1" if table.scale is not None else alike},
+        units=named
+        | {"error": "1" if table.scale is not None else alike}
+        | parameter_units(table.spread, type(table.machine)),
         entries=entries,
         content=table.model_dump(),
     )

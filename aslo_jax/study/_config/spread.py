@@ -2,11 +2,12 @@
 
 import abc
 import math
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from ...schema import Positive, Table, key
+from ...schema import Positive, Table, key, unit_of
 from .._distributions import (
     AbstractDistribution,
     Correlated,
@@ -15,7 +16,7 @@ from .._distributions import (
     Normal,
     Uniform,
 )
-from .._spread import Parameter
+from .._spread import Parameter, Spread, names_of
 
 WHERE = "path of what it sets, for instance plant.resistance"
 
@@ -111,3 +112,24 @@ def parameter(table: AbstractSpreadTable) -> Parameter:
     return Parameter(
         table.where, table.law(), table.relative, None if names is None else tuple(names)
     )
+
+
+def parameter_units(
+    tables: Mapping[str, AbstractSpreadTable], machine: type[Table]
+) -> dict[str, str]:
+    """The units of the numbers drawn, by their variables, where they are factors or keys of
+    the `[machine]`."""
+    found = {}
+    for name, table in tables.items():
+        wheres = [table.where] if isinstance(table.where, str) else table.where
+        for each, where in zip(
+            names_of(Spread({name: parameter(table)})), wheres, strict=True
+        ):
+            found[f"parameter_{each}"] = "1" if table.relative else _unit(where, machine)
+    return {name: unit for name, unit in found.items() if unit}
+
+
+def _unit(where: str, machine: type[Table]) -> str:
+    room, _, rest = where.partition(".")
+    field = machine.model_fields.get(rest.split(".")[0])
+    return unit_of(field) if room == "plant" and field is not None else ""
