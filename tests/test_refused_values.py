@@ -78,6 +78,7 @@ def test_arrays_of_other_axes(make, name):
         (dict(max_gap="1"), r"`max_gap` must be a number \(s\), but got '1'"),
         (dict(max_gap=np.nan), "`max_gap` must be positive"),
         (dict(substeps=True), "`substeps` must be an integer of at least 1, but got True"),
+        (dict(substeps=10**9), "`substeps` must be at most 1000, but got 1000000000"),
         (dict(state=3), "`state` must be a state of this observer, .* but got 3"),
     ],
 )

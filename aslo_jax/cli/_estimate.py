@@ -98,6 +98,7 @@ def estimate(
         int | None,
         typer.Option(
             min=1,
+            max=1000,  # as of `step`
             help="Steps per sampling interval, between which outputs are interpolated; by "
             "default 4, and 1 for a Kalman filter, which takes samples as they are.",
         ),

@@ -17,7 +17,8 @@ def read_tdms(path: Path) -> Source:
     units: dict[str, str] = {}
     clocks: dict[str, tuple[float, float, int]] = {}
     try:
-        with tdms.TdmsFile.open(path) as file:
+        # A file that it cannot read it leaves open.
+        with path.open("rb") as raw, tdms.TdmsFile.open(raw) as file:
             for group in file.groups():
                 for channel in group.channels():
                     name = f"{group.name}/{channel.name}"

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from .._checks import kind, number, positive, unlike
+from .._checks import check_substeps, kind, number, positive, unlike
 from .._filters import _Hold
 from .._module import Module
 from .._realise import Advance, Flow, Interval, Pass, Start, States, state_of
@@ -120,8 +120,8 @@ class AbstractObserver(Module, Generic[Est]):
     Conventions: `y[k]` is sampled at `t[k]`; `u[k]` is held on `[t[k], t[k+1])`. No
     estimate has direct feed-through of u.
 
-    **Raises:** `ValueError` for `substeps` below 1, a `dt` that is not positive, the state
-    of another observer, and what its own equations refuse.
+    **Raises:** `ValueError` for `substeps` below 1 or above 1000, a `dt` that is not
+    positive, the state of another observer, and what its own equations refuse.
     """
 
     @abc.abstractmethod
@@ -224,6 +224,7 @@ class AbstractObserver(Module, Generic[Est]):
         tell. Before the first y that is finite
         nothing is known; there the observer begins.
         """
+        check_substeps(substeps)
         self._check_measured(state, u, y)
         gap = Gap.before(u, state.y)[0] if state.gap is None else state.gap
         y = self.continued(state.y, y)
@@ -284,11 +285,7 @@ class AbstractObserver(Module, Generic[Est]):
         ends: tuple[Interval | None, Interval | None],
     ) -> tuple[States, Any]:
         """The states after an interval from `before` to `y`, and the estimate there."""
-        plain = isinstance(substeps, int) and not isinstance(substeps, bool)
-        if not plain or substeps < 1:
-            raise ValueError(
-                f"Argument `substeps` must be an integer of at least 1, but got {substeps}."
-            )
+        check_substeps(substeps)
         left = Flow(states)
         self(Pass(left, interval=ends[0]), u, before)
         states, drives = left.states, left.drives
@@ -321,7 +318,7 @@ def _kept(coefficients: PyTree, substeps: int) -> Any:
     if not decays:
         return None
     slowest = functools.reduce(jnp.maximum, decays)
-    return functools.reduce(lambda a, b: a * b, [slowest] * max(substeps, 1))
+    return functools.reduce(lambda a, b: a * b, [slowest] * substeps)
 
 
 def check_states(states: States, begun: States) -> None:

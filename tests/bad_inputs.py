@@ -1,0 +1,430 @@
+"""A generator of bad inputs for the command line: logs, machines, studies, options."""
+
+import contextlib
+import io
+import math
+import traceback
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+import tomlkit
+
+from aslo_jax.cli import main
+
+MACHINE = """
+[machine]
+kind = "pmsm"
+resistance = 2.8
+inductance = 8e-3
+magnet_flux = 0.175
+pole_pairs = 4
+inertia = 1e-3
+
+[observer]
+cutoff = 120.0
+pll_bandwidth = 150.0
+"""
+
+STUDY = """
+title = "Small"
+interval = 1e-3
+horizon = 0.02
+every = 10
+design = "lhs"
+
+[machine]
+kind = "double_integrator"
+
+[control]
+kind = "open_loop"
+signal = { kind = "wave", amplitude = 1.0, frequency = 2.0 }
+
+[observers.ASLO]
+kind = "aslo"
+cutoff = 50.0
+
+[[sensor]]
+kind = "noise"
+deviation = 0.01
+
+[spread.speed]
+where = "initial.1"
+distribution = "normal"
+mean = 0.0
+deviation = 1.0
+
+[metrics.rms]
+kind = "rms"
+after = 0.01
+"""
+
+NUMBERS = ["nan", "inf", "-inf", "1e308", "-1", "0", "1e-320", "-0.0", "1e400", "0x10"]
+CELLS = [
+    *NUMBERS,
+    "",
+    "abc",
+    "1,5",
+    "1.2.3",
+    "--",
+    "NaN ",
+    "1e",
+    "\x00",
+    "١",
+    "1_000",
+    '"1"',
+]
+VALUES = [
+    -1,
+    0,
+    1,
+    1e308,
+    -1e308,
+    1e-308,
+    math.nan,
+    math.inf,
+    10**9,
+    10**30,
+    True,
+    "text",
+    "",
+    "$x_1$",
+    "../x",
+    [],
+    [1.0, 2.0],
+    ["a"],
+    {},
+    {"kind": "wave"},
+]
+
+
+def motor_log(rows: int = 400) -> dict[str, np.ndarray]:
+    """A right log of the motor above: steady currents, exact mean voltages."""
+    R, L, m, h, speed = 2.8, 8e-3, 0.175, 1e-4, 300.0
+    t = h * np.arange(rows + 1)
+    circle = lambda a: np.stack([np.cos(a), np.sin(a)])
+    i = lambda t: 2.5 * circle(speed * t + 1.7)
+    flux = m * circle(speed * t) + L * i(t)
+    mean = (i(t[:-1]) + 4.0 * i(t[:-1] + 0.5 * h) + i(t[1:])) / 6.0
+    u, y = R * mean + np.diff(flux, axis=1) / h, i(t[:-1])
+    names = ("t", "u_alpha", "u_beta", "i_alpha", "i_beta")
+    return dict(zip(names, (t[:-1], *u, *y), strict=True))
+
+
+def as_text(columns: dict[str, np.ndarray]) -> list[list[str]]:
+    rows = np.stack(list(columns.values()), axis=1)
+    return [list(columns), *([f"{x:.9g}" for x in row] for row in rows)]
+
+
+# Changes of a table of cells, the header first: `change(random, cells)`.
+
+
+def _cell(random, cells):
+    row = cells[int(random.integers(0, len(cells)))]
+    j = int(random.integers(0, len(row) + 1))
+    row[j : j + 1] = [str(random.choice(CELLS))]
+
+
+def _column_of(random, cells):
+    j, value = int(random.integers(0, len(cells[0]))), str(random.choice(CELLS))
+    for row in cells[1:]:
+        row[j : j + 1] = [value]
+
+
+def _scaled(random, cells):
+    j = int(random.integers(0, len(cells[0])))
+    factor = float(random.choice([0.0, -1.0, 1e-300, 1e300, 1e9, 1e-9, 1e3, 57.3]))
+    for row in cells[1:]:
+        with contextlib.suppress(ValueError, IndexError):
+            row[j] = f"{factor * float(row[j]):.9g}"
+
+
+def _renamed(random, cells):
+    j = int(random.integers(0, len(cells[0])))
+    names = ["t", "time [ms]", "u_beta", "", "i_d", "θ", "x" * 5000, "=1+1", "t\x1b[31m"]
+    cells[0][j] = str(random.choice(names))
+
+
+def _dropped(random, cells):
+    j = int(random.integers(0, len(cells[0])))
+    for row in cells:
+        del row[j : j + 1]
+
+
+def _ragged(random, cells):
+    row = cells[int(random.integers(0, len(cells)))]
+    if random.integers(2):
+        row.append("1.0")
+    elif row:
+        row.pop()
+
+
+def _short(random, cells):
+    del cells[int(random.choice([0, 1, 2, 3, 5, 9])) :]
+
+
+def _shuffled(random, cells):
+    body = cells[1:]
+    random.shuffle(body)
+    cells[1:] = body
+
+
+def _repeated(random, cells):
+    k = int(random.integers(0, len(cells)))
+    cells[k:k] = [list(cells[k]) for _ in range(int(random.choice([1, 30])))]
+
+
+def _lost(random, cells):
+    k = int(random.integers(1, max(len(cells), 2)))
+    del cells[k : k + int(random.choice([1, 5, 200]))]
+
+
+CELLWISE: list[Callable] = [
+    _cell,
+    _column_of,
+    _scaled,
+    _renamed,
+    _dropped,
+    _ragged,
+    _short,
+    _shuffled,
+    _repeated,
+    _lost,
+]
+
+
+def bad_log(random: np.random.Generator, folder: Path) -> Path:
+    """A log with one to three faults, in a format or in what claims to be one."""
+    cells = as_text(motor_log())
+    for _ in range(int(random.integers(1, 4))):
+        if cells and cells[0]:
+            CELLWISE[int(random.integers(len(CELLWISE)))](random, cells)
+    between = str(random.choice([",", ",", ",", ";", "\t", " ", "|"]))
+    end = str(random.choice(["\n", "\n", "\r\n", "\r"]))
+    content = end.join(between.join(row) for row in cells).encode("utf-8", "surrogatepass")
+    fault = int(random.integers(12))
+    if fault == 0:
+        content = content[: int(random.integers(len(content) + 1))]
+    elif fault == 1:
+        content = b"\xef\xbb\xbf" + content
+    elif fault == 2:
+        content = content.decode().encode("utf-16")
+    elif fault == 3:
+        noise = bytearray(content)
+        for k in random.integers(0, max(len(noise), 1), 20):
+            if noise:
+                noise[int(k)] = int(random.integers(256))
+        content = bytes(noise)
+    elif fault == 4:
+        content = b"# a comment\n% another\n\n" + content
+    suffix = str(
+        random.choice(
+            [".csv"] * 12 + [".txt", ".npz", ".parquet", ".mat", ".tdms", ".gz", ""]
+        )
+    )
+    path = folder / f"log{suffix}"
+    path.write_bytes(content)
+    return path
+
+
+def damaged_log(random: np.random.Generator, folder: Path) -> Path:
+    """A log in a binary format, whole but for a few bytes, a cut, or its types."""
+    columns: dict[str, Any] = dict(motor_log())
+    name = list(columns)[int(random.integers(len(columns)))]
+    odd = [
+        columns[name].astype(np.float32),
+        columns[name] > 0,
+        columns[name] + 1j,
+        columns[name][:, None],
+        columns[name][:-1],
+        np.array(["a"] * 400),
+        np.array(["2020-01-01"] * 400, "datetime64[s]"),
+        np.float64(3.0),
+        np.full(400, np.nan),
+        np.ma.masked_less(columns[name], 0.0),
+    ]
+    if random.integers(2):
+        columns[name] = odd[int(random.integers(len(odd)))]
+    kind = int(random.integers(3))
+    path = folder / ("log.npz", "log.mat", "log.parquet")[kind]
+    if kind == 0:
+        np.savez(path, **columns)
+    elif kind == 1:
+        columns = {k: v for k, v in columns.items() if np.asarray(v).dtype.kind != "M"}
+        scipy.io.savemat(path, {"log": columns} if random.integers(2) else columns)
+    else:
+        pyarrow = pytest.importorskip("pyarrow")
+        parquet = pytest.importorskip("pyarrow.parquet")
+        flat = {k: np.ravel(np.asarray(v)) for k, v in columns.items()}
+        rows = min(x.size for x in flat.values())
+        flat = {
+            k: x[:rows].real if x.dtype.kind == "c" else x[:rows] for k, x in flat.items()
+        }
+        parquet.write_table(pyarrow.table(flat), path)
+    content = bytearray(path.read_bytes())
+    damage = int(random.integers(4))
+    if damage == 0:
+        for k in random.integers(0, len(content), int(random.choice([1, 3, 40]))):
+            content[int(k)] ^= 1 << int(random.integers(8))
+    elif damage == 1:
+        del content[int(random.integers(len(content))) :]
+    path.write_bytes(bytes(content))
+    return path
+
+
+def bad_toml(random: np.random.Generator, text: str, path: Path) -> Path:
+    """A file with one or two wrong keys, or that is no TOML."""
+    document = tomlkit.parse(text)
+    for _ in range(int(random.integers(1, 3))):
+        table, name = _place(random, document)
+        change = int(random.integers(4))
+        if change == 0 and name in table:
+            del table[name]
+        elif change == 1:
+            table[str(random.choice(["extra", "Resistance", "", "a b", "kind"]))] = 1.0
+        else:
+            table[name] = VALUES[int(random.integers(len(VALUES)))]
+    content = tomlkit.dumps(document).encode()
+    if random.integers(12) == 0:
+        k = int(random.integers(len(content)))
+        content = content[:k] + random.bytes(3) + content[k:]
+    path.write_bytes(content)
+    return path
+
+
+def _place(random, table: Any) -> tuple[Any, str]:
+    """A key of a document, at any depth."""
+    while True:
+        if isinstance(table, list) and table:
+            table = table[0]
+            continue
+        names = list(table)
+        if not names:
+            return table, "x"
+        name = names[int(random.integers(len(names)))]
+        inner = table[name]
+        if isinstance(inner, dict | list) and len(inner) and random.integers(4):
+            if isinstance(inner, list) and not isinstance(inner[0], dict):
+                return table, name
+            table = inner
+            continue
+        return table, name
+
+
+OPTIONS: dict[str, list[str]] = {
+    "--cutoff": [*NUMBERS, "text"],
+    "--pll-bandwidth": [*NUMBERS, "1e5"],
+    "--substeps": ["0", "-1", "2", "1.5", "1000000000"],
+    "--max-gap": NUMBERS,
+    "--frame": ["dq", "abc", "xyz", ""],
+    "--angle": ["t", "nothing", "1/0", "__import__('os')"],
+    "--angle-kind": ["electrical", "mechanical", "both"],
+    "--missing": ["coast", "interpolate", "refuse", "nothing"],
+    "--most-missing": ["0", "1", "-5", "x"],
+    "--remove-offset": ["standstill", "periods", "all"],
+    "--voltage": ["held", "instant", "delayed=1", "delayed=999", "delayed=x", "late"],
+    "--outliers": ["drop", "keep", "maybe"],
+    "--column": ["t=nothing", "t=u_alpha", "x", "=", "t=t*0", "t=t/0", "u_alpha=9**9**9"],
+}
+
+
+def bad_options(random: np.random.Generator) -> list[str]:
+    found: list[str] = []
+    for _ in range(int(random.integers(1, 4))):
+        name = list(OPTIONS)[int(random.integers(len(OPTIONS)))]
+        found += [name, str(random.choice(OPTIONS[name]))]
+    return found
+
+
+def case(number: int, folder: Path) -> list[str]:
+    """The arguments of one bad use of the command line, whose outputs are in `folder`."""
+    random = np.random.default_rng(number)
+    log, machine, study = folder / "log.csv", folder / "m.toml", folder / "s.toml"
+    log.write_text("\n".join(",".join(row) for row in as_text(motor_log())))
+    machine.write_text(MACHINE)
+    study.write_text(STUDY)
+    kind = int(random.integers(20))
+    options: list[str] = []
+    if kind < 9:
+        log = bad_log(random, folder) if kind < 6 else damaged_log(random, folder)
+        if random.integers(4) == 0:
+            options = bad_options(random)
+    elif kind < 13:
+        machine = bad_toml(random, MACHINE, machine)
+    elif kind < 16:
+        options = bad_options(random)
+    else:
+        study = bad_toml(random, STUDY, study)
+        out = str(folder / "out")
+        return ["study", str(study), "--samples", "3", "--out", out, "-q", "--no-report"]
+    out = folder / f"out{random.choice(['.csv', '.npz', '.parquet'])}"
+    return ["estimate", str(log), "--machine", str(machine), "--out", str(out), *options]
+
+
+def run(arguments: list[str]) -> tuple[Any, str, str]:
+    """Exit code, stdout and stderr of the command line, or what it raised."""
+    out, error = io.StringIO(), io.StringIO()
+    code: Any = "returned"
+    with (
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(error),
+        warnings.catch_warnings(),
+    ):
+        warnings.simplefilter("error")
+        try:
+            main(arguments)
+        except SystemExit as ended:
+            code = ended.code or 0
+        except BaseException:
+            code = traceback.format_exc()
+    return code, out.getvalue(), error.getvalue()
+
+
+def faults(number: int, folder: Path) -> list[str]:
+    """What is wrong in how the command line takes a bad input."""
+    folder.mkdir(parents=True)
+    arguments = case(number, folder)
+    before = {p.name for p in folder.iterdir()}
+    code, out, error = run(arguments)
+    found = []
+    if code not in (0, 1, 2):
+        found.append(f"ends with {code}")
+    if "Traceback" in out + error:
+        found.append("prints a traceback")
+    if code in (1, 2):
+        lines = [x for x in error.splitlines() if not x.startswith("aslo-jax: warning:")]
+        told = [x for x in lines if x.startswith("aslo-jax: error:")]
+        if len(told) != 1 and not ("Usage" in error or "Invalid value" in error):
+            found.append(f"does not say why in one line: {error[-400:]!r}")
+        if len(error) > 4000:
+            found.append(f"says {len(error)} characters")
+        left = {p.name for p in folder.iterdir()} - before
+        if left - {"out"} or any(p.name.startswith(".") for p in folder.rglob("*")):
+            found.append(f"leaves {sorted(left)}")
+    if code == 0 and arguments[0] == "estimate":
+        found += _of_table(folder, error)
+    if any(ord(c) < 32 and c not in "\n\t\r" for c in out + error):
+        found.append("prints control characters")
+    return [f"{number} {' '.join(arguments[3:])}: {each}" for each in found]
+
+
+def _of_table(folder: Path, error: str) -> list[str]:
+    """What is wrong with a table of estimates: numbers that are none where it does not say
+    so."""
+    from aslo_jax.logs._formats import open_source
+
+    (path,) = (p for p in folder.iterdir() if p.stem == "out")
+    source = open_source(path)
+    names = ["flux_alpha", "flux_beta", "theta_electrical", "coasting"]
+    table = {name: [] for name in names}
+    for batch in source.batches(names, True):
+        for name in names:
+            table[name].append(np.asarray(batch[name], float))
+    columns = {name: np.concatenate(x) for name, x in table.items()}
+    trusted = columns["coasting"] == 0
+    bad = [n for n in names[:3] if not np.isfinite(columns[n][trusted]).all()]
+    return [f"trusts what is not finite in {bad}"] if bad and "finite" not in error else []
