@@ -18,7 +18,7 @@ from pathlib import Path
 # fusion by itself, through MLIR, its optimisation, and a program in parts for threads cost
 # more than they bring, about half of the time of a test. Set it to nothing for code that
 # users run. XLA aborts on a flag that it does not know; these are known to every version
-# from 0.6.1 to 0.10.
+# from 0.7.2 to 0.10.
 if tuple(map(int, version("jaxlib").split(".")[:2])) <= (0, 10):
     os.environ.setdefault(
         "XLA_FLAGS",

@@ -265,7 +265,7 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
 
     def with_noise(
         self, found: Noise
-    ) -> tuple["AbstractDescription[M, O]", dict[str, str]]:
+    ) -> "tuple[AbstractDescription[M, O], dict[str, str]]":
         """The same with deviations `found` in the log where the file has none; and why
         each, by its key."""
         least = "the least that is taken for noise, a thousandth of the rms or a step"
