@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
+from ._speed import median_interval
+
 # On a leg, a ball and beam and a cart on an arm, 3 s at 1 kHz, factors of 5 to 20 gave
 # median velocity errors below 1e-5 without noise and 3e-3 with encoders of 12 bits. With 1
 # the start of the leg still shows (1e-3), and 5 % of mass too much show three times more.
@@ -23,7 +25,7 @@ def typical_frequency(t: Float[np.ndarray, " N"], q: Float[np.ndarray, "N n"]) -
 
 
 def _frequency(t: Float[np.ndarray, " N"], q: Float[np.ndarray, " N"]) -> float:
-    interval, slope = float(np.median(np.diff(t))), (q[-1] - q[0]) / (t[-1] - t[0])
+    interval, slope = median_interval(t), (q[-1] - q[0]) / (t[-1] - t[0])
     away = q - slope * (t - t[0])
     if np.mean(np.diff(away) ** 2) >= NOISE * np.var(away):
         return 0.0
@@ -50,7 +52,7 @@ def cutoff_for_positions(
     tenth of the sampling rate.
     """
     frequency = typical_frequency(t, q)
-    fastest = PER_SAMPLE / float(np.median(np.diff(t)))
+    fastest = PER_SAMPLE / median_interval(t)
     why = f"ten times {frequency:.4g} rad/s, the typical frequency of the positions"
     if FACTOR * frequency > fastest:
         return fastest, f"a tenth of the sampling rate, less than {why}"

@@ -13,6 +13,11 @@ SLOWEST = 40.0  # times slower than the typical speed: the least a memory is mad
 MINIMUM_CUTOFF = 5.0  # rad/s, what a log of a machine at rest gets
 
 
+def median_interval(t: Float[np.ndarray, " N"]) -> float:
+    """The median of the intervals between the instants `t`, in their unit."""
+    return float(np.median(np.diff(t), overwrite_input=True))
+
+
 def electrical_speed(
     t: Float[np.ndarray, " N"],
     u: Float[np.ndarray, "N 2"],
@@ -37,7 +42,7 @@ def turning_speed(t: Float[np.ndarray, " N"], v: Float[np.ndarray, "N 2"]) -> fl
     for _ in range(8):  # noise makes the first speeds too large, the first blocks too short
         means, times = _blocks(v, size), _blocks(t, size)
         speed = _turning(times, means)
-        wider = 0.5 * size / max(speed * float(np.median(np.diff(times))), 1e-9)
+        wider = 0.5 * size / max(speed * median_interval(times), 1e-9)
         previous, size = size, int(np.clip(wider, size, max(t.size // 8, 1)))
         if size == previous:
             break
@@ -48,7 +53,7 @@ def turning_acceleration(t: Float[np.ndarray, " N"], v: Float[np.ndarray, "N 2"]
     """How fast that rate changes (rad/s^2): the difference from window to window of 20 ms,
     as the fourth root of the mean of its fourth power, so that a short run-up counts,
     weighted with the square of v; zero for a short log."""
-    rows = max(round(WINDOW / float(np.median(np.diff(t)))), 8)
+    rows = max(round(WINDOW / median_interval(t)), 8)
     starts = np.arange(0, t.size - rows, rows)
     if starts.size < 2:
         return 0.0
@@ -65,10 +70,12 @@ def turning_acceleration(t: Float[np.ndarray, " N"], v: Float[np.ndarray, "N 2"]
 
 
 def _near_one(v: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-    """The vector over a power of two, whose squares are numbers, too; a rate has the same
-    bits of either."""
-    largest = float(np.max(np.abs(v), initial=0.0))
-    return np.ldexp(v, -math.frexp(largest)[1]) if math.isfinite(largest) else v
+    """The vector, or where its squares may be no numbers, it over a power of two; a rate
+    has the same bits of either."""
+    largest = max(float(np.max(v, initial=0.0)), -float(np.min(v, initial=0.0)))
+    if 1e-70 < largest < 1e70 or not math.isfinite(largest):
+        return v
+    return np.ldexp(v, -math.frexp(largest)[1])
 
 
 def _blocks(x: Float[np.ndarray, "N *k"], size: int) -> Float[np.ndarray, "M *k"]:
@@ -105,7 +112,7 @@ def slow_speed(
     turns steadily it is that speed; one with a slow part has less, so that nearly always a
     memory holds a turn of it; but at least a fortieth of the median: a log may well
     have rests, in which no memory helps."""
-    interval, size, speed = float(np.median(np.diff(t))), 1, 0.0
+    interval, size, speed = median_interval(t), 1, 0.0
     means = np.zeros(0)
     for _ in range(8):  # against noise, over blocks in which the flux turns by 0.25 rad
         means = np.linalg.norm(_blocks(v, size), axis=1) / magnet_flux

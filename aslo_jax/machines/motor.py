@@ -36,7 +36,14 @@ from ._lifted import (
     turning_deviation,
 )
 from ._noise import Noise, white_noise
-from ._speed import cutoff_for, slow_speed, turning_acceleration, turning_speed, two_rates
+from ._speed import (
+    cutoff_for,
+    median_interval,
+    slow_speed,
+    turning_acceleration,
+    turning_speed,
+    two_rates,
+)
 
 PLL_BANDWIDTH = 100.0  # rad/s, unless the log accelerates fast
 BLOCKS = 25  # of a log, whose mean speeds tell how the speed varies
@@ -127,7 +134,7 @@ def motor_rates(log: Log | None, stated: Mapping[str, float]) -> Rates:
     A loop with a bandwidth above half of the sampling rate only passes noise on: the
     default gives way to that, a stated bandwidth is refused."""
     rates: Rates = {}
-    interval = 0.0 if log is None else float(np.median(np.diff(log.t)))
+    interval = 0.0 if log is None else median_interval(log.t)
     fastest = 0.5 / interval if interval else np.inf
     if "pll_bandwidth" not in stated:
         rates["pll_bandwidth"] = _bandwidth(log, fastest)
