@@ -274,16 +274,26 @@ def test_interpolation_is_linear():
         aslo.replay(made, t, u, lost, missing="interpolate")
 
 
+CHAIN = 20.0 * (np.diag([1.0, 1.0], -1) - np.eye(3))
+FILTERS = {
+    "low-pass": aslo.LowPass(20.0),
+    "second order": aslo.filters.second_order(20.0),
+    "three poles": aslo.LinearFilter(CHAIN, [20.0, 0.0, 0.0], [0.0, 0.0, 1.0]),
+}
+
+
+@pytest.mark.parametrize("filter", FILTERS.values(), ids=FILTERS)
 @pytest.mark.parametrize("both", [True, False])
 @pytest.mark.parametrize("rows", [5, 30, 120])
-def test_a_long_hole_is_flagged_until_the_filter_has_forgotten_it(rows, both):
+def test_a_long_hole_is_flagged_until_the_filter_has_forgotten_it(rows, both, filter):
     """Over 1 rad without y, or without u and y, the error is of the size of the flux."""
-    t, u, y, flux = map(np.array, motor_log(900))
+    t, u, y, flux = map(np.array, motor_log(1500))
     lost = slice(400, 400 + rows)
     y[lost] = np.nan
     if both:
         u[lost] = np.nan
-    made = aslo.AlgebraicObserver(RELATION, aslo.LowPass(20.0), guard=aslo.Guard(1e-3))
+    squares = aslo.LeastSquares(forgetting=aslo.LowPass(20.0))
+    made = aslo.AlgebraicObserver(RELATION, filter, squares, guard=aslo.Guard(1e-3))
     found = aslo.replay(made, t, u, y, missing="coast", engine="fused")
     error = np.linalg.norm(found.value - flux, axis=1) / np.linalg.norm(flux, axis=1)
     after = np.arange(t.size) >= lost.stop

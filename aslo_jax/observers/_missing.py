@@ -67,7 +67,8 @@ class Sample(NamedTuple):
 def whole(gap: Gap, before: PyTree, u: PyTree, y: PyTree, dt: Any, kept: Any) -> Sample:
     """The sample `u`, `y` after `dt` seconds, held where it is missing. `before` is the y
     that held until now: where y comes back, the interval begins on the line that joins the
-    two. `kept` is what a filter remembers over these seconds, `None` without one."""
+    two. `kept` is what a filter remembers over these seconds, by its slowest part and as a
+    whole; `None` without one."""
     u_there, y_there = finite(u), finite(y)
     u, y = either(u_there, u, gap.u), either(y_there, y, before)
     begun = jnp.isfinite(gap.waited)
@@ -83,8 +84,8 @@ def whole(gap: Gap, before: PyTree, u: PyTree, y: PyTree, dt: Any, kept: Any) ->
     weights = weight, jnp.where(first, 1.0, gap.weight)
     lost, doubt = gap.lost, gap.doubt
     if kept is not None:
-        kept = jnp.asarray(kept, doubt.dtype)
-        length = (1.0 - kept) * jnp.where(u_there, UNMEASURED, BLIND)
+        slowest, kept = (jnp.asarray(x, doubt.dtype) for x in kept)
+        length = (1.0 - slowest) * jnp.where(u_there, UNMEASURED, BLIND)
         broken = ~(u_there & y_there)
         passed = lost + jnp.where(broken, length, 0.0)
         doubt = kept * doubt + jnp.where(y_there, passed**2, 0.0)
