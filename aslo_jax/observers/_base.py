@@ -231,7 +231,8 @@ class AbstractObserver(Module, Generic[Est]):
         check_states(state.states, begun)
         states = either(now.first, begun, state.states)
         weight, before = now.weights
-        ends = Interval(now.missing, weight, before), Interval(now.missing, weight)
+        end = Interval(now.missing, weight, None, now.blind)
+        ends = end._replace(before=before), end
         states, estimate = self._across(
             states, now.u, now.left, now.y, coefficients, substeps, ends
         )

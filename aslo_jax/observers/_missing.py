@@ -53,7 +53,8 @@ class Gap(eqx.Module):
 class Sample(NamedTuple):
     """A sample made whole: `u` over the interval, `left` and `y` at its ends; whether it is
     `missing`, or the `first` one, over whose interval nothing is known either; the weights
-    of this interval and of the one before; and what is remembered."""
+    of this interval and of the one before; whether u is missing, `blind`; and what is
+    remembered."""
 
     u: PyTree
     left: PyTree
@@ -61,6 +62,7 @@ class Sample(NamedTuple):
     missing: Bool[Array, ""]
     first: Bool[Array, ""]
     weights: tuple[Float[Array, ""], Float[Array, ""]]
+    blind: Bool[Array, ""]
     gap: Gap
 
 
@@ -93,7 +95,7 @@ def whole(gap: Gap, before: PyTree, u: PyTree, y: PyTree, dt: Any, kept: Any) ->
         forgets = first | ~begun
         lost, doubt = jnp.where(forgets, 0.0, lost), jnp.where(forgets, 0.0, doubt)
     now = Gap(u, elapsed, weight, lost, doubt)
-    return Sample(u, left, y, missing, first, weights, now)
+    return Sample(u, left, y, missing, first, weights, ~u_there, now)
 
 
 def marked(estimate: PyTree, missing: Bool[Array, ""], kind: type) -> PyTree:
