@@ -28,12 +28,14 @@ class Interval(NamedTuple):
     - `missing`: whether one is, shape `()`;
     - `weight`: of what is injected over it, shape `()`: 1, or 0 where a sample is missing,
       or less than 1 where samples come back;
-    - `before`: that of the interval before; `None` at the right end.
+    - `before`: that of the interval before; `None` at the right end;
+    - `blind`: whether the input is missing, shape `()`, and not the output alone.
     """
 
     missing: Bool[Array, ""]
     weight: Float[Array, ""]
-    before: Float[Array, ""] | None = None
+    before: Float[Array, ""] | None
+    blind: Bool[Array, ""]
 
 
 Drive = PyTree | Callable[[PyTree], PyTree]
@@ -282,6 +284,11 @@ class Pass:
         """Whether a sample of this interval is missing or doubted, shape `()`."""
         missing = jnp.asarray(False) if self._interval is None else self._interval.missing
         return missing if self._doubted is None else missing | self._doubted
+
+    @property
+    def blind(self) -> Bool[Array, ""]:
+        """Whether the input of this interval is missing, shape `()`."""
+        return jnp.asarray(False) if self._interval is None else self._interval.blind
 
     @property
     def trust(self) -> Float[Array, ""] | float:

@@ -88,8 +88,30 @@ def test_advance_keeps_the_shape_of_the_signal():
 def test_low_pass_equals_the_linear_filter_of_order_one():
     low_pass, linear = aslo.LowPass(4.0), aslo.LinearFilter([[-4.0]], [4.0], [1.0])
     scalar, matrix = low_pass.discretise(0.13), linear.discretise(0.13)
-    for a, b in zip(scalar, matrix, strict=True):
+    for a, b in zip(scalar, matrix.hold, strict=True):
         np.testing.assert_allclose(a, np.squeeze(b), rtol=1e-14)
+    np.testing.assert_allclose(matrix.slowest, scalar.decay, rtol=1e-8)
+    np.testing.assert_allclose(matrix.whole, scalar.decay, rtol=1e-8)
+
+
+@pytest.mark.parametrize("h", [1e-6, 1e-3, 0.5])
+def test_a_filter_knows_what_it_remembers(h):
+    """The eigenvalues of NumPy, of a matrix that rings, one that is defective, and one that
+    is far from normal: the slowest, or the sum of all time constants."""
+    matrices = (
+        [[-1.0, 50.0], [-70.0, -2.0]],
+        [[-3.0, 0.0, 0.0], [3.0, -3.0, 0.0], [0.0, 3.0, -3.0]],
+        [[-40.0, 900.0], [0.0, -5.0]],
+    )
+    for A in matrices:
+        poles = np.linalg.eigvals(np.array(A))
+        slowest = -poles.real.max()
+        together = min(slowest, 1.0 / np.sum(-1.0 / poles).real)
+        filter = aslo.LinearFilter(A, np.ones(len(A)), np.ones(len(A)))
+        found = filter.discretise(h)
+        np.testing.assert_allclose(-np.log(found.slowest) / h, slowest, rtol=0.02)
+        np.testing.assert_allclose(-np.log(found.whole) / h, together, rtol=0.02)
+    assert together < 0.9 * slowest
 
 
 @pytest.mark.parametrize("v", [1e-8, 1e-4, 1e-3, 0.03, 0.499999, 0.5, 2.0, 40.0, 1e6])

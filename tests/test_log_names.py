@@ -158,7 +158,9 @@ def test_expressions_are_over_columns_as_they_are():
     "text",
     [
         "__import__('os').system('x')*1",
-        "u_alpha.real*1",
+        "u_alpha().real*1",
+        "(1.5).real*u_alpha",
+        "`u_alpha`.real*1",
         "(lambda: 1)()*u_alpha",
         "[u_alpha][0]*1",
         "u_alpha if 1 else u_beta+1",
@@ -188,6 +190,19 @@ def test_expressions_name_columns_that_are_there():
     assert (
         "row 3 (counted from 0), column `u_alpha/(u_alpha-4)`: the value is inf" in message
     )
+
+
+def test_expressions_name_fields_of_structs():
+    data = renamed(t="log.t [ms]", u_beta="log.drive.u_b", i_beta="y.i b")
+    data["log.t [ms]"] = 1e3 * HERE["t"]
+    given = {
+        "t": "log.t*1e-3",
+        "u_beta": "-(-log.drive.u_b)",
+        "i_beta": "`y.i b`*1",
+    }
+    assert_same(Log.from_columns(data, columns=given), rtol=1e-13)
+    message = refusal(data, columns=given | {"t": "log.tt*1e-3"})
+    assert "has no column `log.tt`; its columns: `log.t [ms]`" in message
 
 
 def test_an_angle_is_never_offered_for_a_voltage():

@@ -274,16 +274,26 @@ def test_interpolation_is_linear():
         aslo.replay(made, t, u, lost, missing="interpolate")
 
 
+CHAIN = 20.0 * (np.diag([1.0, 1.0], -1) - np.eye(3))
+FILTERS = {
+    "low-pass": aslo.LowPass(20.0),
+    "second order": aslo.filters.second_order(20.0),
+    "three poles": aslo.LinearFilter(CHAIN, [20.0, 0.0, 0.0], [0.0, 0.0, 1.0]),
+}
+
+
+@pytest.mark.parametrize("filter", FILTERS.values(), ids=FILTERS)
 @pytest.mark.parametrize("both", [True, False])
 @pytest.mark.parametrize("rows", [5, 30, 120])
-def test_a_long_hole_is_flagged_until_the_filter_has_forgotten_it(rows, both):
+def test_a_long_hole_is_flagged_until_the_filter_has_forgotten_it(rows, both, filter):
     """Over 1 rad without y, or without u and y, the error is of the size of the flux."""
-    t, u, y, flux = map(np.array, motor_log(900))
+    t, u, y, flux = map(np.array, motor_log(1500))
     lost = slice(400, 400 + rows)
     y[lost] = np.nan
     if both:
         u[lost] = np.nan
-    made = aslo.AlgebraicObserver(RELATION, aslo.LowPass(20.0), guard=aslo.Guard(1e-3))
+    squares = aslo.LeastSquares(forgetting=aslo.LowPass(20.0))
+    made = aslo.AlgebraicObserver(RELATION, filter, squares, guard=aslo.Guard(1e-3))
     found = aslo.replay(made, t, u, y, missing="coast", engine="fused")
     error = np.linalg.norm(found.value - flux, axis=1) / np.linalg.norm(flux, axis=1)
     after = np.arange(t.size) >= lost.stop
@@ -293,3 +303,32 @@ def test_a_long_hole_is_flagged_until_the_filter_has_forgotten_it(rows, both):
     assert trusted[lost.stop + 1] == (rows == 5)
     if rows == 120:
         assert error[after].max() > 0.5
+
+
+@pytest.mark.parametrize("lost", ["both", "u", "y"])
+def test_a_kalman_filter_takes_nothing_for_known_of_inputs_that_are_held(lost):
+    """Over a hole in which the flux turns by up to 5 rad. Its estimate is then known anew
+    by what is measured after it; as if inputs were known it would be off by 170 %."""
+    t, u, y, flux = map(np.array, motor_log(2400))
+    random = np.random.default_rng(11)
+    y, u = (x + 0.01 * random.normal(size=x.shape) for x in (y, u))
+    made = aslo.ExtendedKalman.of_pmsm(RELATION, 1e-7, 100.0, 1e-7)
+    plain = aslo.replay(made, t, u, y)
+    for rows in (2, 40, 120):
+        hole = slice(1600, 1600 + rows)
+        us, ys = u.copy(), y.copy()
+        for name, signal in (("u", us), ("y", ys)):
+            if lost in (name, "both"):
+                signal[hole] = np.nan
+        found = aslo.replay(made, t, us, ys, missing="coast")
+        error = np.linalg.norm(found.value - flux, axis=1) / np.linalg.norm(flux, axis=1)
+        coasting = np.asarray(found.coasting)
+        assert coasting[hole.start + 1 : hole.stop].all()
+        assert not coasting[hole.stop + 30 :].any()
+        trusted = ~coasting
+        trusted[: hole.start] = False
+        assert error[trusted].max() < 0.15
+        np.testing.assert_array_equal(found.coasting[: hole.start], plain.coasting[:1600])
+        if lost != "y" and rows == 120:
+            assert coasting[hole.stop + 1]
+    np.testing.assert_allclose(found.value[:1600], plain.value[:1600], rtol=1e-9)

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Complex, Float, Int
 
 from ..logs import Log
 from ._circle import Circle
+from ._turns import REACH, apart, losses
 
 FAR = 9.0  # times the median distance from what the neighbours say
 LEAST = 3e-3  # of the radius: what is smaller does little harm
@@ -60,7 +61,7 @@ class Rows:
         return Rows(
             kept(self.outliers),
             kept(self.inputs),
-            kept(self.lost),
+            apart(self.lost, np.flatnonzero(absent), REACH),
             self.gaps[rest],
             self.missing[rest],
         )
@@ -82,7 +83,8 @@ def suspect_rows(log: Log, circle: Circle, interval: float) -> Rows:
 
     `h (u - R i) - L di` from row to row is what the magnet moves by: a smooth curve. An
     output that is off moves it forth and back; lost rows move it once, by the step of the
-    current that no voltage explains.
+    current that no voltage explains. Losses of few rows, whose step is as small as noise,
+    turn it and the signals ([`losses`][]).
     """
     gaps, missing = gaps_in(log.t, interval)
     if log.t.size < 16:
@@ -93,7 +95,7 @@ def suspect_rows(log: Log, circle: Circle, interval: float) -> Rows:
     leap = np.diff(y)
     step = h * (u[:-1] - 0.5 * R * (y[1:] + y[:-1])) - L * leap
     step = step * np.where(np.isin(np.arange(h.size), gaps), interval / h, 1.0)
-    pace, turning = _pace(step), _pace(u)
+    pace, turning = pace_of(step), pace_of(u)
     error = step - _smooth(step, pace, NEIGHBOURS)
     # By the entries before alone: where rows are lost, the curve jumps.
     behind = step - _smooth(step, pace, BEHIND)
@@ -117,13 +119,15 @@ def suspect_rows(log: Log, circle: Circle, interval: float) -> Rows:
             near = leap[max(place - 2, 0) : place + 3]
             if L * np.abs(near).max() < 0.3 * size[place]:
                 inputs.append(place)
-        elif pulses[max(place - 2, 0) : place + 3].any():
+        elif not 3 <= place < step.size - 3 or pulses[place - 2 : place + 3].any():
             continue
         elif not _late(moves, step, pace, place, behind[place]) and any(
             _unexplained(x[place], L * leap[place]) for x in (error, behind)
         ):
             lost.append(place)
     as_rows = lambda found: np.array(sorted(set(found)), int)
+    named = as_rows([*outliers, *inputs, *lost, *gaps.tolist()])
+    lost += apart(losses(u[:-1], y[:-1], step), named, REACH).tolist()
     return Rows(as_rows(outliers), as_rows(inputs), as_rows(lost), gaps, missing)
 
 
@@ -142,7 +146,7 @@ def gaps_in(
     return rows, whole[rows].astype(int) - 1
 
 
-def _pace(x: Complex[np.ndarray, " N"]) -> complex:
+def pace_of(x: Complex[np.ndarray, " N"]) -> complex:
     """By what a curve turns from entry to entry: a number of size one."""
     turn = np.vdot(x[:-1], x[1:])
     return complex(turn / abs(turn)) if abs(turn) > 0 else 1.0 + 0.0j
@@ -152,9 +156,11 @@ def _smooth(
     x: Complex[np.ndarray, " N"], turn: complex, neighbours: Sequence[int]
 ) -> Complex[np.ndarray, " N"]:
     """What the `neighbours` of every entry say it is: their median, the entry left out,
-    turned to it at the pace at which the curve turns."""
+    turned to it at the pace at which the curve turns. At an end, where one is not there, it
+    is the one as far on the other side."""
     rows = np.arange(x.size)
-    others = [np.clip(rows + k, 0, x.size - 1) for k in neighbours]
+    inside = lambda k: (rows + k >= 0) & (rows + k < x.size)
+    others = [np.where(inside(k), rows + k, rows - k) for k in neighbours]
     around = np.stack([x[other] * turn ** (rows - other) for other in others])
     return np.median(around.real, axis=0) + 1j * np.median(around.imag, axis=0)
 
@@ -168,7 +174,8 @@ def _late(moves: Any, step: Any, turn: complex, place: int, behind: Any) -> bool
         return False
     rows = np.array([after, after + 1, after + 2])
     went_on = np.mean(step[rows] * turn ** (place - rows)) - (step[place] - behind)
-    left = np.abs(behind + moves[place + np.array([-2, -1, 1, 2])] - moves[place])
+    beside = np.array([-2, -1, 1, 2])
+    left = np.abs(behind + moves[place + beside] * turn**-beside - moves[place])
     return bool(max(abs(went_on), left.min()) < 0.3 * abs(behind))
 
 

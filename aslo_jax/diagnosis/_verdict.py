@@ -1,13 +1,14 @@
 """What is wrong with a log of a turning flux, from how well each hypothesis explains it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from . import _rotations as rotations, _trial as trial
 from ._causes import causes as known_causes
 from ._circle import Circle
+from ._even import HARM, timing
 from ._hypotheses import words
 from ._sample import Chunk
 from ._trial import Trial
@@ -24,9 +25,10 @@ OF_A_LOG, OF_A_MACHINE = 0.01, 0.03  # flux errors that are worth a warning
 RADIUS = math.log(1.15)  # a magnet that is off by less does no harm
 DOUBT = 0.1  # of a parameter: an error that is likely in a right log
 LIKELY = math.log(1.5)  # of a parameter: one that is further off is not so by itself
+EXCUSE = math.log(1.2)  # the same, where the timing of the voltages may be wrong instead
 ABSURD = math.log(3.0)  # of a parameter: others come first
-TURN = 0.05  # rad a row: from here on the timing of the voltage is worth a note
-FLOOR = 0.1  # of the noise: what a residual below it is, is chance
+FLOOR = 0.2  # of the noise: what a residual below it is, is chance
+SHOWN = 3  # causes that a message names
 LEVEL = math.log(1.03)  # of the radius: worth a note
 
 
@@ -67,17 +69,17 @@ def _of_flux(
         "radius": nominal.radius,
     }
     if nominal.residual < CLEAR and _near(nominal, circle):
-        notes = _level(nominal, circle) + _late(windows, nominal, circle)
-        return Diagnosis(figures=figures, notes=notes), nominal
+        return _quiet(windows, nominal, chunks, circle, figures), nominal
     best = min(others, key=lambda t: t.cost)
-    if max(best.cost, FLOOR * nominal.noise) > nominal.cost / BETTER:
+    least = max(best.cost, FLOOR * nominal.noise)
+    if least > nominal.cost / BETTER:
         found = _unexplained(nominal, best, circle)
-        quiet = _level(nominal, circle) + _late(windows, nominal, circle)
-        notes = () if found else quiet
-        return Diagnosis(found, figures, notes), nominal
+        if found:
+            return Diagnosis(found, figures), nominal
+        return _quiet(windows, nominal, chunks, circle, figures), nominal
     explained = [t for t in others if t.cost <= nominal.cost / BETTER]
     alike = CLEAR if turning else 1e-4
-    rivals = [t for t in explained if t.cost <= ALIKE * best.cost + alike]
+    rivals = [t for t in explained if t.cost <= ALIKE * least + alike]
     rivals = _plain([*rivals, *_named_scales(rivals, explained)], circle)
     doubtful = [t for t in explained if abs(_changed(t, circle) - 1.0) < DOUBT]
     axes = [t for t in rivals if t.tried.angle is not None and rotations.aligned(t)]
@@ -85,9 +87,9 @@ def _of_flux(
         rivals, doubtful = axes, []
     figures["flux_error"] = max(t.flux_error for t in rivals)
     if _pardoned(rivals, doubtful, circle):
-        notes = _level(nominal, circle) + _late(windows, nominal, circle)
-        return Diagnosis(figures=figures, notes=notes), nominal
-    return Diagnosis((_warning(nominal.cost, rivals, circle),), figures), nominal
+        return _quiet(windows, nominal, chunks, circle, figures), nominal
+    warning = _warning(_better(nominal, rivals), rivals, circle)
+    return Diagnosis((warning,), figures), nominal
 
 
 def _turned(chunks: Sequence[Chunk], circle: Circle) -> list[Trial]:
@@ -106,7 +108,7 @@ def _of_axis(chunks: Sequence[Chunk], circle: Circle, nominal: Trial) -> Diagnos
     others = [t for t in rotations.tried(chunks, circle, both) if rotations.aligned(t)]
     best = min(others, key=lambda t: t.cost, default=None)
     if best is not None and best.cost <= nominal.cost:
-        return Diagnosis((_warning(nominal.cost, [best], circle),))
+        return Diagnosis((_warning(_better(nominal, [best]), [best], circle),))
     degrees = np.degrees(np.angle(nominal.lead))
     note = (
         f"the magnet is {degrees:.3g} degrees ahead of the d axis, by the angle "
@@ -153,10 +155,13 @@ def _plain(rivals: Sequence[Trial], circle: Circle) -> list[Trial]:
 def _pardoned(rivals: Sequence[Trial], doubtful: Sequence[Trial], circle: Circle) -> bool:
     """Whether nothing is said of a log: all that may be wrong does no harm, or some of it
     does none and is likely. At constant speed another inductance, whatever it would have to
-    be, makes up for many things that do harm."""
+    be, makes up for many things that do harm; and a resistance makes up for voltages of
+    other rows, which are common, so that it excuses them only where it is very likely."""
     if all(_harmless(t, circle) for t in rivals):
         return True
-    likely = lambda t: _off(t, circle) < LIKELY
+    late = any(t.tried.shift and t.flux_error > HARM for t in rivals)
+    limit = lambda t: EXCUSE if late and t.tried.kind != "radius" else LIKELY
+    likely = lambda t: _off(t, circle) < limit(t)
     return any(_harmless(t, circle) and likely(t) for t in (*rivals, *doubtful))
 
 
@@ -181,19 +186,36 @@ def _level(nominal: Trial, circle: Circle) -> tuple[str, ...]:
     )
 
 
-def _late(windows: Windows, nominal: Trial, circle: Circle) -> tuple[str, ...]:
-    """What is said of a log that voltages of other rows would explain as well."""
-    turn = windows.rate * windows.interval
-    if turn < TURN:
-        return ()
-    moved = [h for h in known_causes(circle) if abs(h.shift) == 1.0]
-    limit = max(2.0 * nominal.residual, CLEAR)
-    tried = trial.of_each(windows, circle, moved)
-    if not any(t.residual < limit and _near(t, circle) for t in tried):
-        return ()
-    return (
-        f"{circle.quantity}: the motion is too even to tell the timing of the voltages; a "
-        f"row late or early turns the estimate by {np.degrees(turn):.2g} degrees",
+def _quiet(
+    windows: Windows,
+    nominal: Trial,
+    chunks: Sequence[Chunk],
+    circle: Circle,
+    figures: Mapping[str, float],
+) -> Diagnosis:
+    """What is said of a log that fits its model: of the timing of its voltages, and of the
+    level of its magnet."""
+    found = timing(windows, nominal, chunks, circle, CLEAR, RADIUS)
+    wrong = [t for t in (found.told, *found.alike[:1]) if t is not None]
+    if not wrong:
+        return Diagnosis(figures=figures, notes=_level(nominal, circle) + found.notes)
+    figures = {**figures, "flux_error": wrong[0].flux_error}
+    if found.told is not None:
+        return Diagnosis((_warning(found.better, wrong, circle),), figures)
+    return Diagnosis((_either(found.alike, nominal, circle),), figures)
+
+
+def _either(alike: Sequence[Trial], nominal: Trial, circle: Circle) -> Finding:
+    """What is said where the magnet flux is off, unless the voltages are of other rows."""
+    causes = ", or ".join(_cause(t, circle) for t in alike)
+    harms = " or ".join(f"{100 * t.flux_error:.2g} %" for t in alike)
+    remedies = "; or ".join(t.tried.remedy for t in alike)
+    ratio = nominal.radius / (circle.radius or nominal.radius)
+    return Finding(
+        alike[0].tried.kind,
+        f"{causes}, or the {circle.radius_name} is {ratio:.4g} times the one given; at a "
+        f"speed and a current that are constant they look alike. The {circle.quantity} is "
+        f"off by about {harms}, or right if it is the {circle.radius_name}; {remedies}",
     )
 
 
@@ -226,16 +248,20 @@ def _near(t: Trial, circle: Circle) -> bool:
     return abs(math.log(t.radius / circle.radius)) < RADIUS
 
 
-def _warning(cost: float, rivals: Sequence[Trial], circle: Circle) -> Finding:
-    shown = rivals[:3]
+def _warning(better: float, rivals: Sequence[Trial], circle: Circle) -> Finding:
+    shown = rivals[:SHOWN]
     causes = ", or ".join(_cause(t, circle) for t in shown)
     remedies = [t.tried.remedy.format(**words(circle)) for t in shown]
     remedy = "; or ".join(dict.fromkeys(filter(None, remedies)))
-    better = _times(cost / max(min(t.cost for t in shown), 1e-12))
     harm = 100 * shown[0].flux_error
     told = f"the {circle.quantity} is off by about {harm:.3g} %, " if harm >= 0.1 else ""
-    message = f"{causes}: {told}and the log fits {better} better without that; {remedy}"
-    return Finding(shown[0].tried.kind, message)
+    fits = f"the log fits {_times(better)} better without that"
+    return Finding(shown[0].tried.kind, f"{causes}: {told}and {fits}; {remedy}")
+
+
+def _better(nominal: Trial, rivals: Sequence[Trial]) -> float:
+    """How many times the log as it is fits worse than under the best of what is shown."""
+    return nominal.cost / max(min(t.cost for t in rivals[:SHOWN]), 1e-12)
 
 
 def _times(x: float) -> str:

@@ -31,8 +31,8 @@ OPERATORS: dict[type, Callable[..., Any]] = {
 
 class Expression:
     """An arithmetic expression over columns: numbers, `pi`, + - * / **, parentheses, `abs`,
-    `cos`, `sin`, `sqrt`, and names of columns, within backticks those that are no names of
-    Python.
+    `cos`, `sin`, `sqrt`, and names of columns, as they are where they are names of Python
+    or such with points between (`log.t`), within backticks others.
 
     - `names`: the columns that it names, in order.
 
@@ -86,6 +86,8 @@ class Expression:
             case ast.Name(id=name):
                 if name not in CONSTANTS:
                     found.setdefault(self._columns.get(name, name))
+            case ast.Attribute() if _is_path(node):
+                found.setdefault(ast.unparse(node))
             case _:
                 raise ValueError(f"it has `{ast.unparse(node)}`")
 
@@ -110,4 +112,13 @@ class Expression:
                 return CONSTANTS[name]
             case ast.Name(id=name):
                 return columns[self._columns.get(name, name)]
+            case ast.Attribute():
+                return columns[ast.unparse(node)]
         raise AssertionError(node)
+
+
+def _is_path(node: ast.AST) -> bool:
+    """Whether it is a name such as `log.current.alpha`, of a field of a struct."""
+    while isinstance(node, ast.Attribute):
+        node = node.value
+    return isinstance(node, ast.Name) and not node.id.startswith("_column_")

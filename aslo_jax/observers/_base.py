@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from .._checks import check_substeps, kind, number, positive, unlike
-from .._filters import _Hold
+from .._filters import Remembering, _Hold
 from .._module import Module
 from .._realise import Advance, Flow, Interval, Pass, Start, States, state_of
 from .._signals import check_signals
@@ -220,9 +220,8 @@ class AbstractObserver(Module, Generic[Est]):
         the exact start hold through a hole but for the error of that derivative over it,
         which is forgotten at the rate of the filters; it is small where nothing turns by
         more than about a tenth of a radian meanwhile. After a longer hole the estimate is
-        flagged until a low-pass filter has forgotten it to about 5 %; other filters do not
-        tell. Before the first y that is finite
-        nothing is known; there the observer begins.
+        flagged until the slowest filter has forgotten it to about 5 %. Before the first y
+        that is finite nothing is known; there the observer begins.
         """
         check_substeps(substeps)
         self._check_measured(state, u, y)
@@ -233,7 +232,8 @@ class AbstractObserver(Module, Generic[Est]):
         check_states(state.states, begun)
         states = either(now.first, begun, state.states)
         weight, before = now.weights
-        ends = Interval(now.missing, weight, before), Interval(now.missing, weight)
+        end = Interval(now.missing, weight, None, now.blind)
+        ends = end._replace(before=before), end
         states, estimate = self._across(
             states, now.u, now.left, now.y, coefficients, substeps, ends
         )
@@ -310,15 +310,20 @@ def named(
     return dict(observers) if isinstance(observers, Mapping) else observers
 
 
-def _kept(coefficients: PyTree, substeps: int) -> Any:
-    """What the slowest low-pass filter remembers over an interval; `None` without one."""
-    is_hold = lambda x: isinstance(x, _Hold)
-    holds = jax.tree.leaves(coefficients, is_leaf=is_hold)
-    decays = [x.decay for x in holds if is_hold(x) and jnp.ndim(x.decay) == 0]
-    if not decays:
+def _kept(coefficients: PyTree, substeps: int) -> tuple[Any, Any] | None:
+    """What the slowest filter remembers over an interval, by its slowest part and as a
+    whole; `None` without a filter."""
+    is_filter = lambda x: isinstance(x, _Hold | Remembering)
+    found = jax.tree.leaves(coefficients, is_leaf=is_filter)
+    parts = [(x.slowest, x.whole) for x in found if isinstance(x, Remembering)]
+    holds = [x.decay for x in found if isinstance(x, _Hold) and jnp.ndim(x.decay) == 0]
+    parts += [(decay, decay) for decay in holds]
+    if not parts:
         return None
-    slowest = functools.reduce(jnp.maximum, decays)
-    return functools.reduce(lambda a, b: a * b, [slowest] * substeps)
+    greatest = (functools.reduce(jnp.maximum, each) for each in zip(*parts, strict=True))
+    power = lambda x: functools.reduce(lambda a, b: a * b, [x] * substeps)
+    slowest, whole = map(power, greatest)
+    return slowest, whole
 
 
 def check_states(states: States, begun: States) -> None:

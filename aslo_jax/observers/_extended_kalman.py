@@ -1,11 +1,12 @@
 """The extended Kalman filter, its Jacobians by automatic differentiation."""
 
 import abc
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from .._checks import is_concrete, positive, real
@@ -17,6 +18,8 @@ from .._small import safe_reciprocal, solve_definite
 from .._typing import PyTree, RealArray
 from ..plants import AbstractMechanicalSystem, FluxRelation
 from ._base import AbstractObserver, Estimate
+from ._lifted_filter import grown, hole_of
+from ._missing import DOUBT
 
 __all__ = ["AbstractModel", "Belief", "ExtendedKalman", "MechanicalModel", "PMSMModel"]
 
@@ -103,12 +106,14 @@ class Belief(NamedTuple):
 class _KalmanBucy(AbstractLaw):
     """The belief, driven by `(u, y)`: Riccati's equation in continuous time; sampled, a
     prediction over the interval with u held, and an update by the y at its end, or where
-    `trust` is zero none."""
+    `trust` is zero none. `lost`, where inputs may be missing, is what the square of their
+    length is to be multiplied by for the variance of each of them over the interval."""
 
     model: AbstractModel
     process: Float[Array, "n n"]
     measurement: Float[Array, "p p"]
     trust: Float[Array, ""] | float = 1.0
+    lost: Float[Array, ""] | None = None
 
     def flow(self, X: PyTree, v: PyTree) -> PyTree:
         (u, y), (x, P) = v, X
@@ -129,7 +134,12 @@ class _KalmanBucy(AbstractLaw):
         x, transition = predict(X.mean), jax.jacfwd(predict)(X.mean)
         # Noise enters throughout the interval: the trapezoidal rule of its integral.
         half = 0.5 * h * self.process
-        P = transition @ (X.covariance + half) @ transition.T + half
+        before = X.covariance + half
+        if self.lost is not None:
+            entries, back = ravel_pytree(u)
+            by_u = jax.jacfwd(lambda v: self.model.drift(X.mean, back(v)))(entries)
+            before = before + h**2 * self.lost * jnp.sum(entries**2) * (by_u @ by_u.T)
+        P = transition @ before @ transition.T + half
         H = jax.jacfwd(self.model.output)(x)
         V = self.measurement / h
         gain = self.trust * _divide(P @ H.T, H @ P @ H.T + V)
@@ -137,6 +147,27 @@ class _KalmanBucy(AbstractLaw):
         rest = jnp.eye(x.shape[0], dtype=x.dtype) - gain @ H
         P = rest @ P @ rest.T + gain @ V @ gain.T
         return Belief(x + gain @ (y - self.model.output(x)), P)
+
+
+class _Pending(AbstractLaw):
+    """The variance of the estimate before a hole until it has come back, or is small beside
+    the estimate; 0 where there is none. Driven by whether a sample is missing, the variance
+    and the square of the estimate."""
+
+    def flow(self, X: PyTree, v: PyTree) -> PyTree:
+        return jnp.zeros_like(X)
+
+    def discretise(self, h: Any) -> Any:
+        return h
+
+    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
+        (_, before, _), (missing, variance, square) = v0, v1
+        begun = jnp.where(X > 0.0, X, before)
+        back = variance <= jnp.maximum(BACK * X, DOUBT**2 * square)
+        return jnp.where(missing > 0.0, begun, jnp.where(back, 0.0, X))
+
+
+BACK = 4.0  # times the variance before a hole: twice the deviation
 
 
 class ExtendedKalman(AbstractObserver):
@@ -151,7 +182,10 @@ class ExtendedKalman(AbstractObserver):
 
     In continuous time it is the Kalman-Bucy filter linearised at the estimate. Sampled, it
     predicts over the interval with the held input (Runge and Kutta's fourth-order step and
-    its exact Jacobian) and updates at the sample.
+    its exact Jacobian) and updates at the sample. Where samples are missing it predicts; of
+    an input that is held in the place of a missing one nothing is taken to be known, and
+    after the hole the estimate is flagged as coasting until its deviation is twice that
+    before at most, or 5 % of the estimate.
 
     The certificate is the part of the first variance that has been removed, of the entry of
     the estimate where it is least: between 0 and 1. It is what the linearised filter
@@ -257,7 +291,9 @@ class ExtendedKalman(AbstractObserver):
     def belief(self, F: Pass, u: PyTree, y: PyTree) -> Belief:
         """Mean and covariance of the whole state."""
         u, y = jax.tree.map(jnp.asarray, u), jnp.atleast_1d(y)
-        law = _KalmanBucy(self.model, self.process, self.measurement, F.trust)
+        hole = hole_of(F, self.initial.dtype, blind=True)
+        lost = None if hole is None else grown(hole)
+        law = _KalmanBucy(self.model, self.process, self.measurement, F.trust, lost)
         start = Belief(self.initial, self.covariance)
         return F.evolve(law, (u, y), start, "belief")
 
@@ -267,7 +303,10 @@ class ExtendedKalman(AbstractObserver):
         variance, first = (jnp.sum((J @ C) * J, axis=1) for C in (P, self.covariance))
         certificate = jnp.min(1.0 - variance * safe_reciprocal(first))
         value = self.model.select(x)
-        return Estimate(value, jnp.clip(certificate, 0.0, 1.0), jnp.asarray(False))
+        total = jnp.sum(variance)
+        drive = F.missing.astype(total.dtype), total, jnp.sum(value**2)
+        pending = F.evolve(_Pending(), drive, jnp.zeros_like(total), "pending")
+        return Estimate(value, jnp.clip(certificate, 0.0, 1.0), pending > 0.0)
 
 
 def _divide(B: Float[Array, "n p"], S: Float[Array, "p p"]) -> Float[Array, "n p"]:

@@ -88,11 +88,12 @@ class Run(AbstractLaw):
         return jnp.asarray(v1 * (X + 1.0), X.dtype)
 
 
-def hole_of(F: Pass, dtype: Any) -> Float[Array, ""] | None:
-    """How many samples in a row are missing, up to that of this pass; `None` where none can
-    be."""
+def hole_of(F: Pass, dtype: Any, blind: bool = False) -> Float[Array, ""] | None:
+    """How many samples in a row are missing, up to that of this pass, or where `blind` how
+    many inputs; `None` where none can be."""
     none = jnp.zeros((), dtype)
-    drive = none if F.certain else F.missing.astype(dtype)
+    missing = F.blind if blind else F.missing
+    drive = none if F.certain else missing.astype(dtype)
     rows = F.evolve(Run(), drive, none, "hole")
     return None if F.certain else rows
 

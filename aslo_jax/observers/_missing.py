@@ -53,7 +53,8 @@ class Gap(eqx.Module):
 class Sample(NamedTuple):
     """A sample made whole: `u` over the interval, `left` and `y` at its ends; whether it is
     `missing`, or the `first` one, over whose interval nothing is known either; the weights
-    of this interval and of the one before; and what is remembered."""
+    of this interval and of the one before; whether u is missing, `blind`; and what is
+    remembered."""
 
     u: PyTree
     left: PyTree
@@ -61,13 +62,15 @@ class Sample(NamedTuple):
     missing: Bool[Array, ""]
     first: Bool[Array, ""]
     weights: tuple[Float[Array, ""], Float[Array, ""]]
+    blind: Bool[Array, ""]
     gap: Gap
 
 
 def whole(gap: Gap, before: PyTree, u: PyTree, y: PyTree, dt: Any, kept: Any) -> Sample:
     """The sample `u`, `y` after `dt` seconds, held where it is missing. `before` is the y
     that held until now: where y comes back, the interval begins on the line that joins the
-    two. `kept` is what a filter remembers over these seconds, `None` without one."""
+    two. `kept` is what a filter remembers over these seconds, by its slowest part and as a
+    whole; `None` without one."""
     u_there, y_there = finite(u), finite(y)
     u, y = either(u_there, u, gap.u), either(y_there, y, before)
     begun = jnp.isfinite(gap.waited)
@@ -83,8 +86,8 @@ def whole(gap: Gap, before: PyTree, u: PyTree, y: PyTree, dt: Any, kept: Any) ->
     weights = weight, jnp.where(first, 1.0, gap.weight)
     lost, doubt = gap.lost, gap.doubt
     if kept is not None:
-        kept = jnp.asarray(kept, doubt.dtype)
-        length = (1.0 - kept) * jnp.where(u_there, UNMEASURED, BLIND)
+        slowest, kept = (jnp.asarray(x, doubt.dtype) for x in kept)
+        length = (1.0 - slowest) * jnp.where(u_there, UNMEASURED, BLIND)
         broken = ~(u_there & y_there)
         passed = lost + jnp.where(broken, length, 0.0)
         doubt = kept * doubt + jnp.where(y_there, passed**2, 0.0)
@@ -92,7 +95,7 @@ def whole(gap: Gap, before: PyTree, u: PyTree, y: PyTree, dt: Any, kept: Any) ->
         forgets = first | ~begun
         lost, doubt = jnp.where(forgets, 0.0, lost), jnp.where(forgets, 0.0, doubt)
     now = Gap(u, elapsed, weight, lost, doubt)
-    return Sample(u, left, y, missing, first, weights, now)
+    return Sample(u, left, y, missing, first, weights, ~u_there, now)
 
 
 def marked(estimate: PyTree, missing: Bool[Array, ""], kind: type) -> PyTree:
