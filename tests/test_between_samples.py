@@ -1,12 +1,13 @@
 """What currents do between the samples of a calibrated log: with held voltages, and with
 smooth ones."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aslo_jax as aslo
-from aslo_jax.tune._calibration.predict import RelationPrediction
+from aslo_jax.tune._calibration.predict import RelationPrediction, turns
 from aslo_jax.tune._calibration.profile import profile
 
 R, L, MAGNET, SPEED, INTERVAL, ROWS = 0.31, 0.45e-3, 0.017, 420.0, 1e-4, 60
@@ -43,7 +44,8 @@ def test_the_mean_of_a_current_over_an_interval(held):
 
     def bend(held):
         prediction = RelationPrediction((relation,), jnp.zeros(1), held, (2,), (False,))
-        return np.asarray(prediction.bend(h, jnp.asarray(u), jnp.asarray(y)))[2:-2]
+        each = turns(h, jnp.asarray(u), jnp.asarray(y))
+        return np.asarray(jax.vmap(prediction.bend)(h, u[:-1], y[:-1], each))[2:-2]
 
     true = (mean - 0.5 * (y[1:] + y[:-1]))[2:-2]
     size = np.max(np.abs(true))

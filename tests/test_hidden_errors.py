@@ -8,7 +8,7 @@ from machine_records import motor_log
 
 import aslo_jax as aslo
 from aslo_jax.tune import calibrate
-from aslo_jax.tune._calibration.adequacy import Finding
+from aslo_jax.tune._calibration.adequacy import Finding, findings, undecided
 from aslo_jax.tune._calibration.alternatives import (
     CERTAIN,
     Alternative,
@@ -54,6 +54,19 @@ def test_intervals_of_a_right_record_allow_for_a_delay_that_may_be_there():
         assert low < TRUTH[name] < high
         assert found.determined(name)
         assert "delay" in found.allowed[name]
+
+
+def test_a_test_that_correlated_errors_leave_undecided_is_told():
+    """An offset of two outputs that explains a share of 2000 errors: 20 of them or more a
+    degree of freedom are no chance in white ones."""
+    scored = lambda statistic, share: Finding(
+        "output_offset", np.ones(2), statistic, share, np.zeros(1)
+    )
+    assert not undecided(2000, [scored(3.0, 0.003)])  # 3 a degree of freedom: chance
+    assert undecided(2000, [scored(3.0, 0.003), scored(3.0, 0.02)])
+    found = scored(30.0, 0.02)  # beyond doubt whatever is left
+    assert not undecided(2000, [found])
+    assert findings([scored(3.0, 0.02), found]) == (found,)
 
 
 def other(field, place, deviation, statistic, share=0.1, doubt=0.0):

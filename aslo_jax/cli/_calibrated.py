@@ -231,10 +231,10 @@ def check_calibrated(
     less well than with the old ones, on a log without the errors that were found in it.
 
     **Raises:** [`MachineError`][]."""
-    _, u, y = found.imperfections(
-        Signals(*map(jnp.asarray, (np.diff(log.t), log.u, log.y)))
-    )
-    log = dataclasses.replace(log, u=np.asarray(u), y=np.asarray(y))
+    if of_record(before, found):
+        signals = Signals(*map(jnp.asarray, (np.diff(log.t), log.u, log.y)))
+        _, u, y = found.imperfections(signals)
+        log = dataclasses.replace(log, u=np.asarray(u), y=np.asarray(y))
     residuals = []
     for machine in (before, after):
         columns = table.estimate_log(log, machine, machine.rates(log))

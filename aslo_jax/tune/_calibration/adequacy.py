@@ -77,9 +77,21 @@ def places_of(search: Search, field: str) -> list[int]:
     ]
 
 
-def findings(search: Search, fields: Sequence[str]) -> tuple[Finding, ...]:
-    """The errors of the record among the `fields` that prediction errors show beyond
-    doubt, the one that explains most first.
+def findings(scores: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Those of the `scores` that prediction errors show beyond doubt, the one that explains
+    most first."""
+    return tuple(sorted((f for f in scores if f.statistic > SURE), key=lambda f: -f.share))
+
+
+def undecided(errors: int, scores: Sequence[Finding]) -> bool:
+    """Whether an error of the record explains more of so many prediction `errors` than
+    white ones allow, but not more than those do that are left: correlated as they are, the
+    test decides nothing."""
+    return any(f.share * errors / f.size.size > SURE >= f.statistic for f in scores)
+
+
+def scored(search: Search, fields: Sequence[str]) -> tuple[Finding, ...]:
+    """The score tests of the errors of the record among the `fields`.
 
     Source: the score test, Rao, 1948, doi:10.1017/S0305004100023987."""
     problem, e, k = search.problem, search.errors, search.k
@@ -103,8 +115,7 @@ def findings(search: Search, fields: Sequence[str]) -> tuple[Finding, ...]:
         score = np.einsum("ngv,ng->nv", left.reshape(*e.shape, -1), rest)
         robust = cover @ spread(score, e.shape[0]) @ cover + mean * cover
         statistic = float(there @ np.linalg.pinv(robust, hermitian=True) @ there)
-        if statistic / len(places) > SURE:
-            units = parameters.scale[places] * there
-            shift = (share @ there / size)[:k]
-            found.append(Finding(field, units, statistic / len(places), explained, shift))
-    return tuple(sorted(found, key=lambda f: -f.share))
+        units = parameters.scale[places] * there
+        shift = (share @ there / size)[:k]
+        found.append(Finding(field, units, statistic / len(places), explained, shift))
+    return tuple(found)

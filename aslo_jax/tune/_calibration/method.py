@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from .adequacy import findings, tested
+from .adequacy import findings, scored, tested, undecided
 from .alternatives import alternatives, together, widened
 from .imperfections import Recorded, fitted, perfect
 from .parameters import chosen
@@ -77,8 +77,9 @@ def calibrate(
     which need not be a parabola, wider where the spread of slopes over blocks of the record
     says that the errors are not white. Errors of the record that are not fitted are tested:
     where one of them explains what is left, it is named and the intervals are withdrawn.
-    Where the profile of a parameter is no parabola each of them is fitted too, one at a
-    time, and the intervals hold whichever of them is right, or none.
+    Where the profile of a parameter is no parabola, or correlated errors leave the test
+    undecided, each of them is fitted too, one at a time, and the intervals hold whichever
+    of them is right, or none.
 
     **Raises:** `ValueError` for a `model` or `where` that does not fit, where no estimate
     is certified in the log, and as [`replay`][].
@@ -113,8 +114,11 @@ def calibrate(
             break
     v, known = search.last_round(v)
     profiles = search.profiles(v, known, confidence, resolution)
-    seen = findings(search, tests)
-    if not all(profile.parabolic for profile in profiles):
+    scores = scored(search, tests)
+    seen = findings(scores)
+    if undecided(search.errors.size, scores) or not all(
+        profile.parabolic for profile in profiles
+    ):
         others = alternatives(search, v, tests)
         seen = together(seen, others)
         profiles = widened(profiles, others, confidence)

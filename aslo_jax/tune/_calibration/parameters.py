@@ -29,9 +29,10 @@ class Parameters(Module):
 
     def entries(self, q: Float[Array, " k"] | Float[np.ndarray, " k"]) -> Any:
         """The values of the entries (their units), shape `(k,)`."""
+        xp = np if isinstance(q, np.ndarray) else jnp  # XLA would compile each operation
         signed = np.array(self.signed, bool)
         added = self.value + self.scale * q
-        return jnp.where(signed, added, self.value * jnp.exp(jnp.where(signed, 0.0, q)))
+        return xp.where(signed, added, self.value * xp.exp(xp.where(signed, 0.0, q)))
 
     def place(self, q: Float[Array, " k"] | Float[np.ndarray, " k"]) -> Any:
         """The model with these parameters."""
@@ -39,8 +40,8 @@ class Parameters(Module):
         entries, start = self.entries(q), 0
         for k in self.leaves:
             old = jnp.asarray(every[k])
-            new = jnp.asarray(entries[start : start + old.size]).reshape(old.shape)
-            every[k] = new.astype(old.dtype)
+            new = entries[start : start + old.size].reshape(old.shape)
+            every[k] = jnp.asarray(new.astype(old.dtype))
             start += old.size
         return jax.tree.unflatten(structure, every)
 

@@ -3,7 +3,7 @@ gap of the equation that they should satisfy at every sample."""
 
 import abc
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -28,6 +28,27 @@ Relation = Callable[[Any, Any], AbstractTerms]
 
 
 REGULAR = 1e6  # of a condition number, at most
+
+
+class Turn(NamedTuple):
+    """About an interval, `u`: the slope of the inputs from the interval before to the one
+    after (their units per second), and `y`: that of the slope of the outputs (their units
+    per second squared)."""
+
+    u: Float[Array, "*i m"]
+    y: Float[Array, "*i p"]
+
+
+def turns(h: Float[Array, " i"], u: Float[Array, "N m"], y: Float[Array, "N p"]) -> Turn:
+    """Of every interval of a log, shapes `(N - 1, m)` and `(N - 1, p)`."""
+
+    def across(x):
+        ends = jnp.concatenate([x[:1], x, x[-1:]])
+        return ends[2:] - ends[:-2]
+
+    width = jnp.concatenate([h[:1], h, h[-1:]])
+    width = (0.5 * (width[2:] + width[:-2]) + width[1:-1])[:, None]
+    return Turn(across(u[:-1]) / width, across((y[1:] - y[:-1]) / h[:, None]) / width)
 
 
 class AbstractPrediction(Module):
@@ -60,11 +81,12 @@ class AbstractPrediction(Module):
     @abc.abstractmethod
     def bend(
         self,
-        h: Float[Array, " N-1"],
-        u: Float[Array, "N m"],
-        y: Float[Array, "N p"],
-    ) -> Float[Array, "N-1 p"]:
-        """The mean of y over every interval of a log less that of its two ends."""
+        h: Float[Array, ""],
+        u: Float[Array, " m"],
+        y: Float[Array, " p"],
+        turn: "Turn",
+    ) -> Float[Array, " p"]:
+        """The mean of y over an interval less that of its two ends."""
 
     @property
     @abc.abstractmethod
@@ -135,22 +157,13 @@ class RelationPrediction(AbstractPrediction):
                 found.append(residual(terms, part)[0] - constant)
         return jnp.stack(found)
 
-    def bend(self, h: RealArray, u: RealArray, y: RealArray) -> RealArray:
+    def bend(self, h: RealArray, u: RealArray, y: RealArray, turn: "Turn") -> RealArray:
         # A parabola of curvature y'' has -h^2 y''/12 more in the mean than its chord. With
         # smooth inputs y'' is that of the samples. An input that is held lacks its slope,
         # and y'' what that makes: of a motor u'/L.
-        def turn(x):
-            ends = jnp.concatenate([x[:1], x, x[-1:]])
-            return ends[2:] - ends[:-2]
-
-        width = jnp.concatenate([h[:1], h, h[-1:]])
-        width = (0.5 * (width[2:] + width[:-2]) + width[1:-1])[:, None]
-        h = h[:, None]
-        curvature = turn((y[1:] - y[:-1]) / h) / width
+        curvature = turn.y
         if self.held is not None:
-            jump = turn(u[:-1]) / width
-            answering = jax.vmap(lambda u, y, du: answer(self.relations[0], u, y, du))
-            curvature = curvature - self.held * answering(u[:-1], y[:-1], jump)
+            curvature = curvature - self.held * answer(self.relations[0], u, y, turn.u)
         return -(h**2) * curvature / 12.0
 
     @property
@@ -169,8 +182,12 @@ def answers(
     terms = jax.eval_shape(relation, u[0], y[0])
     if not (isinstance(terms, Quadratic) and terms.z.shape == y[0].shape == u[0].shape):
         return False
-    slopes = jax.vmap(jax.jacfwd(lambda y, u: _linear(relation, u, y)))(y, u)
-    return bool(np.all(np.linalg.cond(np.asarray(slopes)) < REGULAR))
+    return bool(np.all(np.linalg.cond(np.asarray(_slopes(relation, u, y))) < REGULAR))
+
+
+@eqx.filter_jit
+def _slopes(relation, u, y):
+    return jax.vmap(jax.jacfwd(lambda y, u: _linear(relation, u, y)))(y, u)
 
 
 def _linear(relation: Relation, u: Any, y: Any) -> Array:
@@ -236,9 +253,9 @@ class NewtonPrediction(AbstractPrediction):
         del u
         return y - x[: self.coordinates]
 
-    def bend(self, h: RealArray, u: RealArray, y: RealArray) -> RealArray:
-        del h, u
-        return jnp.zeros_like(y[1:])  # the measured y does not enter the derivatives
+    def bend(self, h: RealArray, u: RealArray, y: RealArray, turn: "Turn") -> RealArray:
+        del h, u, turn
+        return jnp.zeros_like(y)  # the measured y does not enter the derivatives
 
     @property
     def disturbed(self) -> tuple[int, ...]:

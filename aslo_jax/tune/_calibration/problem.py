@@ -89,22 +89,30 @@ class Problem(Module):
         """The names of the parameters that are to be found."""
         return self.parameters.names[: len(self.parameters.names) - self.tested]
 
-    def split(self, v: Vector) -> tuple[Any, Vector, Vector]:
-        """The model and the errors of the record ([`Recorded`][]), the first states and the
-        rest of a vector of unknowns."""
-        k = len(self.parameters.names)
-        return self.parameters.place(v[:k]), v[k : k + self.states], v[k + self.states :]
+    def recorded(self, v: Vector) -> Any:
+        """The model and the errors of the record ([`Recorded`][]) of unknowns."""
+        return self.parameters.place(v[: len(self.parameters.names)])
 
     def prediction(self, v: Vector) -> tuple[AbstractPrediction, Any, Signals]:
         """What is predicted with the unknowns `v`, from which states on, and of which
         signals."""
-        recorded, x0, rest = self.split(v)
-        signals = recorded.imperfections(self.signals)
-        return self.form.prediction(recorded.model, rest), x0, signals
+        prediction, x0, recorded = predicted(self.parameters, self.form, self.states, v)
+        return prediction, x0, recorded.imperfections(self.signals)
 
     def drift(self) -> Float[np.ndarray, "N n"]:
         """The derivatives of the states at their start (their units per second)."""
         return np.asarray(_drift(self, self.unknowns))
+
+
+def predicted(
+    parameters: Parameters, form: Form, states: int, v: Vector
+) -> tuple[AbstractPrediction, Any, Any]:
+    """What is predicted with the unknowns `v`, from which of its `states` on, and the model
+    with the errors of the record ([`Recorded`][])."""
+    k = len(parameters.names)
+    recorded = parameters.place(v[:k])
+    prediction = form.prediction(recorded.model, v[k + states :])
+    return prediction, v[k : k + states], recorded
 
 
 # What runs once is compiled as a whole: operation by operation XLA makes a program of each.
@@ -266,10 +274,10 @@ def _opened(parameters: Parameters, j: int) -> bool:
         assert relations is not None
         return open_constant(relations[j])
 
-    zero = jnp.zeros(len(parameters.names))
-    if constant(zero) is None:
+    zero = np.zeros(len(parameters.names))
+    if jax.eval_shape(constant, zero) is None:
         return False
-    return not np.any(np.asarray(jax.jacfwd(constant)(zero)))
+    return not np.any(np.asarray(jax.jit(jax.jacfwd(constant))(zero)))
 
 
 def _scaled(

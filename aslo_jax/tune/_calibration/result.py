@@ -214,7 +214,7 @@ def summed_up(
         estimate=estimate,
         after=after,
         interval=interval,
-        imperfections=problem.split(v)[0].imperfections,
+        imperfections=problem.recorded(v).imperfections,
         withdrawn=withdrawn,
         findings=tuple(blamed),
         allowed={n: found.allowed for n, found in zip(names, profiles, strict=True)},

@@ -6,17 +6,15 @@ import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from .information import Information, information
-from .problem import HELD, Problem
+from .passes import Passes
+from .problem import HELD, Problem, predicted
 from .profile import Profile, profile
 from .start import paired
-from .whiten import Gains, Noise, errors, kalman
+from .whiten import Gains, Noise
 
 KICK = 0.02  # of the derivatives' rms, the first guess of what disturbs them
 DISTURBED, ALONE = 1e-3, 1e-5  # of the same: what may be too much, and what is nothing
@@ -51,10 +49,11 @@ class Search:
         self.problem = problem
         y = np.asarray(problem.signals.y)
         drift = problem.drift()
-        prediction, _, _ = problem.prediction(jnp.asarray(problem.unknowns))
+        prediction, _, _ = predicted(
+            problem.parameters, problem.form, problem.states, problem.unknowns
+        )
         rms = np.sqrt(np.mean(drift**2, axis=0))[list(prediction.disturbed)]
-        self.drift = np.maximum(rms, 1e-12)
-        self.reference = _rough(y)
+        self.passes = Passes(problem, np.maximum(rms, 1e-12), _rough(y))
         self.levels = np.array([0.0, np.log(KICK)])
         self.likelihood = -np.inf
         every = len(problem.parameters.names)
@@ -109,9 +108,9 @@ class Search:
         known = np.diag(weight)[weight > 0]
 
         def evaluated(w):
-            e, J = whitened(self.problem, self.whole(w, v), self.reference, gains)
+            e, J = self.passes.whitened(self.whole(w, v), gains)
             rows = np.concatenate([np.ravel(e), known @ (w - home)])
-            J = np.asarray(J)[..., self.free]
+            J = J[..., self.free]
             return rows, np.concatenate([J.reshape(-1, w.size), known])
 
         self.evaluate = evaluated
@@ -125,8 +124,8 @@ class Search:
             max_nfev=15,
         )
         v = self.whole(solution.x, v)
-        e, J = whitened(self.problem, v, self.reference, gains)
-        self.gains, self.errors, self.slopes = gains, np.asarray(e), np.asarray(J)
+        self.gains = gains
+        self.errors, self.slopes = self.passes.whitened(v, gains)
         own = self.slopes[..., self.free]
         return Round(v, information(self.errors, own, self.k, self.prior))
 
@@ -151,9 +150,9 @@ class Search:
         doubt = self.doubtful(known)
 
         def inflation(w, j):
-            e, J = whitened(self.problem, self.whole(w, v), self.reference, self.gains)
-            own = np.asarray(J)[..., self.free]
-            return float(information(np.asarray(e), own, self.k, self.prior).inflation[j])
+            e, J = self.passes.whitened(self.whole(w, v), self.gains)
+            own = J[..., self.free]
+            return float(information(e, own, self.k, self.prior).inflation[j])
 
         def profiled(j: int, degrees: int) -> Profile:
             return profile(
@@ -185,15 +184,15 @@ class Search:
 
     def noise(self) -> Noise:
         """The noise that was found."""
-        return _noise(self.levels, self.drift, self.reference)
+        return self.passes.noise(self.levels)
 
     def _gains(self, v: Float[np.ndarray, " v"]) -> Gains:
         """Those of the noise levels of greatest likelihood."""
         from scipy.optimize import minimize  # heavy to import
 
         def cost(levels):
-            value, slope, *_ = self._filtered(v, levels)
-            return float(value), np.asarray(slope)
+            found = self.passes.filtered(v, levels)
+            return found.cost, found.slope
 
         def least(levels):
             return minimize(
@@ -212,12 +211,9 @@ class Search:
             alone = least(np.array([self.levels[0], np.log(ALONE)]))
             found = min(found, alone, key=lambda f: f.fun)
         self.levels = found.x
-        value, _, gains, _ = self._filtered(v, found.x)
-        self.likelihood = -float(value) * len(self.problem.signals.y)
-        return gains
-
-    def _filtered(self, v: Float[np.ndarray, " v"], levels: Float[np.ndarray, "2"]):
-        return _filter(self.problem, v, levels, self.drift, self.reference)
+        last = self.passes.filtered(v, found.x)
+        self.likelihood = -last.cost * len(self.problem.signals.y)
+        return last.gains
 
     def _pull(
         self, v: Float[np.ndarray, " v"], levels: Float[np.ndarray, "2"]
@@ -228,7 +224,7 @@ class Search:
             ends = [v.copy(), v.copy()]
             ends[0][j] -= NEAR
             ends[1][j] += NEAR
-            low, high = (float(self._filtered(v, levels)[3]) for v in ends)
+            low, high = (self.passes.filtered(v, levels).size for v in ends)
             found[j] = (high - low) / (2.0 * NEAR)
         return found
 
@@ -237,8 +233,8 @@ class Search:
         disturbance of the derivatives and with more."""
 
         def unlikely(level: float) -> float:
-            value = self._filtered(v, np.array([self.levels[0], level]))[0]
-            return float(value) * len(self.problem.signals.y) + self.likelihood
+            cost = self.passes.filtered(v, np.array([self.levels[0], level])).cost
+            return cost * len(self.problem.signals.y) + self.likelihood
 
         found = []
         for side in (-1.0, 1.0):
@@ -258,37 +254,3 @@ def _rough(y: Float[np.ndarray, "N p"]) -> Float[np.ndarray, " p"]:
     size = np.sqrt(np.mean(y**2, axis=0))
     deviation = np.median(third, axis=0) / 0.6745 / np.sqrt(20.0)
     return np.maximum(deviation, 1e-7 * np.maximum(size, 1e-300))
-
-
-def _noise(levels, drift, reference) -> Noise:
-    """The noise of `levels`: logarithms, of that of y over a rough guess of it, and of that
-    of the derivatives over their rms."""
-    return Noise(jnp.exp(levels[0]) * reference, jnp.exp(levels[1]) * drift, reference)
-
-
-@eqx.filter_jit
-def _filter(problem: Problem, v, levels, drift, reference):
-    """The negative likelihood per row, its slope in the levels, the gains, and the half
-    logarithm of the variance of all errors."""
-    prediction, x0, signals = problem.prediction(v)
-
-    def cost(levels):
-        noise = _noise(levels, drift, reference)
-        gains, value, size = kalman(prediction, x0, noise, signals)
-        return value, (value, gains, size)
-
-    slope, (value, gains, size) = jax.jacfwd(cost, has_aux=True)(levels)
-    return value, slope, gains, size
-
-
-@eqx.filter_jit
-def whitened(problem: Problem, v, reference, gains: Gains):
-    """The errors and their slopes in the unknowns."""
-
-    def rows(v):
-        prediction, x0, signals = problem.prediction(v)
-        found = errors(prediction, x0, reference, gains, signals)
-        return found, found
-
-    slopes, found = jax.jacfwd(rows, has_aux=True)(v)
-    return found, slopes

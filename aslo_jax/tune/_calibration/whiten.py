@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from .predict import AbstractPrediction
+from .predict import AbstractPrediction, Turn, turns
 
 
 class Signals(NamedTuple):
@@ -35,15 +36,16 @@ class Noise(NamedTuple):
 class Gains(NamedTuple):
     """Of every row: the filter's gain, and the factor that whitens its error."""
 
-    gain: Float[Array, "N s g"]
-    whiten: Float[Array, "N g g"]
+    gain: Float[Array | np.ndarray, "*N s g"]
+    whiten: Float[Array | np.ndarray, "*N g g"]
 
 
-def _predict(prediction, s, n1, w, u, y0, y1, h, bend):
-    p = y0.shape[0]
+def _predict(prediction, s, n1, w, row):
+    p = row.y0.shape[0]
     x, n0 = s[:-p], s[-p:]
-    ends = (y0 - n0 + bend, y1 - n1 + bend)
-    return jnp.concatenate([prediction.step(x, w, u, ends, h), n1])
+    bend = prediction.bend(row.h, row.u, row.y0, row.turn)
+    ends = (row.y0 - n0 + bend, row.y1 - n1 + bend)
+    return jnp.concatenate([prediction.step(x, w, row.u, ends, row.h), n1])
 
 
 def _inverse_root(S: Float[Array, "g g"]) -> Float[Array, "g g"]:
@@ -71,6 +73,100 @@ def _measure(prediction, s, u, y, B):
     return scale @ gap(s), scale @ H
 
 
+class Row(NamedTuple):
+    """What the filter sees of an interval: its length `h` (s), the `u` held in it, the y at
+    its two ends, and how both turn about it."""
+
+    h: Float[Array, ""]
+    u: Float[Array, " m"]
+    y0: Float[Array, " p"]
+    y1: Float[Array, " p"]
+    turn: Turn
+
+
+def rows_of(signals: Signals) -> Row:
+    """All of them, each with an axis of intervals in front."""
+    h, u, y = signals
+    return Row(h, u[:-1], y[:-1], y[1:], turns(h, u, y))
+
+
+def filter_first(
+    prediction: AbstractPrediction,
+    x0: Float[Array, " n"],
+    noise: Noise,
+    u: Float[Array, " m"],
+    y: Float[Array, " p"],
+) -> tuple[tuple[Array, Array], tuple[Gains, Array]]:
+    """The filter after the first sample, its state and the covariance of that; with the
+    gains, the negative log-likelihood, and the half logarithm of the error's variance."""
+    s, B = _begun(x0, y)
+    P = (B * noise.output) @ (B * noise.output).T
+    return _filtered(prediction, noise, s, P, u, y, B)
+
+
+def filter_step(
+    prediction: AbstractPrediction, noise: Noise, carry: tuple[Array, Array], row: Row
+) -> tuple[tuple[Array, Array], tuple[Gains, Array]]:
+    """The filter after one more sample, as [`filter_first`][]."""
+    s, P = carry
+    n0, w = jnp.zeros_like(row.y0), jnp.zeros_like(noise.drift)
+    law = lambda s, n, w: _predict(prediction, s, n, w, row)
+    A, B, C = jax.jacfwd(law, (0, 1, 2))(s, n0, w)
+    Bn, Cn = B * noise.output, C * noise.drift
+    P = A @ P @ A.T + Bn @ Bn.T + Cn @ Cn.T
+    return _filtered(prediction, noise, law(s, n0, w), P, row.u, row.y1, B)
+
+
+def _filtered(prediction, noise, s, P, u, y, B):
+    e, H = _measure(prediction, s, u, y, B * noise.reference)
+    S = H @ P @ H.T
+    whiten = _inverse_root(S)
+    K = P @ H.T @ whiten.T @ whiten
+    white = whiten @ e
+    size = -jnp.sum(jnp.log(jnp.diagonal(whiten)))
+    cost = jnp.stack([0.5 * jnp.sum(white * white) + size, size])
+    return (s - K @ e, P - K @ S @ K.T), (Gains(K, whiten), cost)
+
+
+def _begun(x0, y):
+    """The state before the first sample, and how that one's noise enters it."""
+    p = y.shape[0]
+    B = jnp.concatenate([jnp.zeros((x0.size, p)), jnp.eye(p)])
+    return jnp.concatenate([x0, jnp.zeros(p)]), B
+
+
+def error_first(
+    prediction: AbstractPrediction,
+    x0: Float[Array, " n"],
+    reference: Float[Array, " p"],
+    u: Float[Array, " m"],
+    y: Float[Array, " p"],
+    gains: Gains,
+) -> tuple[Array, Array]:
+    """The state after the first sample, with the gains as they are, and its white error."""
+    s, B = _begun(x0, y)
+    return _corrected(prediction, reference, s, u, y, B, gains)
+
+
+def error_step(
+    prediction: AbstractPrediction,
+    reference: Float[Array, " p"],
+    s: Float[Array, " s"],
+    row: Row,
+    gains: Gains,
+) -> tuple[Array, Array]:
+    """The state after one more sample, and its white error."""
+    n0, w = jnp.zeros_like(row.y0), jnp.zeros(len(prediction.disturbed))
+    law = lambda n: _predict(prediction, s, n, w, row)
+    B = jax.jacfwd(law)(n0)
+    return _corrected(prediction, reference, law(n0), row.u, row.y1, B, gains)
+
+
+def _corrected(prediction, reference, s, u, y, B, gains):
+    e, _ = _measure(prediction, s, u, y, B * reference)
+    return s - gains.gain @ e, gains.whiten @ e
+
+
 def kalman(
     prediction: AbstractPrediction,
     x0: Float[Array, " n"],
@@ -80,35 +176,11 @@ def kalman(
     """The gains of the extended Kalman filter along the log, from an x0 that is taken to
     be right, the negative log-likelihood per row, and the half logarithm of the variance of
     all errors, of which it has one row's share."""
-    h, u, y = signals
-    p, w = y.shape[1], jnp.zeros_like(noise.drift)
-    n0 = jnp.zeros(p)
-
-    def update(s, P, u, y, B):
-        e, H = _measure(prediction, s, u, y, B * noise.reference)
-        S = H @ P @ H.T
-        whiten = _inverse_root(S)
-        K = P @ H.T @ whiten.T @ whiten
-        white = whiten @ e
-        size = -jnp.sum(jnp.log(jnp.diagonal(whiten)))
-        cost = jnp.stack([0.5 * jnp.sum(white * white) + size, size])
-        return s - K @ e, P - K @ S @ K.T, Gains(K, whiten), cost
-
-    def body(carry, sample):
-        s, P = carry
-        h, u, y0, y1, bend = sample
-        law = lambda s, n, w: _predict(prediction, s, n, w, u, y0, y1, h, bend)
-        A, B, C = jax.jacfwd(law, (0, 1, 2))(s, n0, w)
-        Bn, Cn = B * noise.output, C * noise.drift
-        P = A @ P @ A.T + Bn @ Bn.T + Cn @ Cn.T
-        s, P, gains, cost = update(law(s, n0, w), P, u, y1, B)
-        return (s, P), (gains, cost)
-
-    s = jnp.concatenate([x0, n0])
-    B = jnp.concatenate([jnp.zeros((x0.size, p)), jnp.eye(p)])
-    s, P, first, cost = update(s, (B * noise.output) @ (B * noise.output).T, u[0], y[0], B)
-    rows = (h, u[:-1], y[:-1], y[1:], prediction.bend(h, u, y))
-    _, (gains, costs) = jax.lax.scan(body, (s, P), rows)
+    _, u, y = signals
+    carry, (first, cost) = filter_first(prediction, x0, noise, u[0], y[0])
+    step = lambda carry, row: filter_step(prediction, noise, carry, row)
+    rows = rows_of(signals)
+    _, (gains, costs) = jax.lax.scan(step, carry, rows)
     gains = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, gains)
     cost, size = cost + jnp.sum(costs, axis=0)
     return gains, cost / y.shape[0], size
@@ -123,22 +195,10 @@ def errors(
 ) -> Float[Array, "N g"]:
     """The whitened prediction errors, with the gains as they are: of unit size and white
     where the model is right."""
-    h, u, y = signals
-    p, w = y.shape[1], jnp.zeros(len(prediction.disturbed))
-    n0 = jnp.zeros(p)
-
-    def update(s, u, y, gains, B):
-        e, _ = _measure(prediction, s, u, y, B * reference)
-        return s - gains.gain @ e, gains.whiten @ e
-
-    def body(s, sample):
-        h, u, y0, y1, bend, gains = sample
-        law = lambda n: _predict(prediction, s, n, w, u, y0, y1, h, bend)
-        return update(law(n0), u, y1, gains, jax.jacfwd(law)(n0))
-
-    B = jnp.concatenate([jnp.zeros((x0.size, p)), jnp.eye(p)])
+    _, u, y = signals
     first, rest = jax.tree.map(lambda a: a[0], gains), jax.tree.map(lambda a: a[1:], gains)
-    s, e0 = update(jnp.concatenate([x0, n0]), u[0], y[0], first, B)
-    rows = (h, u[:-1], y[:-1], y[1:], prediction.bend(h, u, y), rest)
-    _, later = jax.lax.scan(body, s, rows)
+    s, e0 = error_first(prediction, x0, reference, u[0], y[0], first)
+    step = lambda s, row: error_step(prediction, reference, s, *row)
+    rows = rows_of(signals)
+    _, later = jax.lax.scan(step, s, (rows, rest))
     return jnp.concatenate([e0[None], later])
