@@ -23,7 +23,7 @@ from ..machines._base import Rates
 from ..machines._condensed import CondensedLog, Condensing
 from ..machines._noise import pooled, white_noise
 from . import _table as table
-from ._summary import Summary
+from ._summary import INCONSISTENT, Summary
 from ._table import Estimator
 from ._trace import Trace
 
@@ -57,8 +57,11 @@ class Done:
             yield finding.kind, finding.message, finding.rows
         known = any(f.kind in EXPLAIN for f in self.diagnosis.warnings)
         for kind, message in self.summary.warnings():
-            if not (known and kind in ("not_certified", "mostly_coasting")):
-                yield kind, message, ()
+            if known and kind in ("not_certified", "mostly_coasting"):
+                continue
+            if kind == INCONSISTENT and self.diagnosis.warnings:
+                continue
+            yield kind, message, ()
 
 
 def opened(

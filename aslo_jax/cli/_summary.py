@@ -61,6 +61,10 @@ class _Errors:
         return float(np.sqrt(max(self.squares / max(self.count, 1) - mean.real**2, 0.0)))
 
 
+INCONSISTENT = "inconsistent"  # a kind of warning, which the verdict on a log has, too
+FAR_OFF = 0.3  # of the magnet flux: no right log is off by that
+
+
 class Summary:
     """Figures of a table of estimates that comes piece by piece.
 
@@ -255,6 +259,22 @@ class Summary:
             elif share > 0.5:
                 text = f"{100 * share:.3g} % of the rows coast ({which}): {checks}"
                 yield "mostly_coasting", text
+        yield from self._off()
+
+    def _off(self) -> Iterator[tuple[str, str]]:
+        """What is said of estimates that miss their model by far in every other row."""
+        if self.scored or not self.machine.circles():
+            return
+        for name, kept in self.relative.items():
+            x = np.concatenate(kept) if kept else np.zeros(0)
+            middle = np.median(x, overwrite_input=True) if x.size else 0.0
+            if not middle <= FAR_OFF:
+                yield (
+                    INCONSISTENT,
+                    f"the {name} does not fit the model of the machine: "
+                    f"{self.machine.residual} has the median {middle:.2g}; check the "
+                    "parameters and their units, and scale and sign of the signals",
+                )
 
 
 def relative_error(quantity: Quantity, piece: Piece) -> Float[np.ndarray, " N"]:

@@ -142,7 +142,7 @@ def _tried(windows, circle, hypotheses, nominal):
             magnet = phi - circle.inductance * y[best]
             lead = magnet * windows.axis.conj()
             lead = complex(np.mean(lead / np.maximum(np.abs(lead), 1e-300)))
-        scale = np.sqrt(np.mean(np.abs(phi) ** 2))
+        scale = max(float(np.sqrt(np.mean(np.abs(phi) ** 2))), 1e-300)
         error = float(np.sqrt(np.mean(np.abs(phi - mine) ** 2)) / scale)
         # With another radius, the one that fits costs nothing.
         price = found.residual if h is not None and h.kind == "radius" else found.cost

@@ -238,6 +238,8 @@ def _changed(t: Trial, circle: Circle) -> float:
 
 
 def _possible(t: Trial, circle: Circle) -> bool:
+    if t.tried.kind in ("voltage_scale", "current_scale") and abs(1.0 + t.values[0]) < 1e-9:
+        return False  # a signal that is to be nothing explains nothing
     return math.isfinite(t.cost) and _changed(t, circle) > 0.0
 
 
