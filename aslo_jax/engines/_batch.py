@@ -92,7 +92,9 @@ class Runner:
         self.steps, self.every, self.block = steps, every, block
         self._like = like = jax.tree.map(shape_of, words(like))
         if steps > COUNTED:
-            told_apart(steps, jax.eval_shape(lambda x: make(x).interval, like))
+            interval = jax.eval_shape(lambda x: getattr(make(x), "interval", None), like)
+            if interval is not None:  # what has none keeps no time
+                told_apart(steps, interval)
         self._plan = Plan(make, _metrics(make, like, metrics or {}), record)
         self._fused, self._may_scan = None, engine == "auto"
         if engine != "scan":
