@@ -97,18 +97,15 @@ def whole(name: str, x: int) -> None:
         raise ValueError(f"Argument `{name}` must be at least 1, but got {x}.")
 
 
-MOST_SUBSTEPS = 1000
-
-
 def check_substeps(x: Any) -> None:
     """Refuse what is no number of steps in an interval, whose instants lie in memory."""
     if not isinstance(x, int) or isinstance(x, bool) or x < 1:
         raise ValueError(
             f"Argument `substeps` must be an integer of at least 1, but got {x}."
         )
-    if x > MOST_SUBSTEPS:
+    if x > _choices.MOST_SUBSTEPS:
         raise ValueError(
-            f"Argument `substeps` must be at most {MOST_SUBSTEPS}, but got {x}."
+            f"Argument `substeps` must be at most {_choices.MOST_SUBSTEPS}, but got {x}."
         )
 
 

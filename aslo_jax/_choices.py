@@ -1,4 +1,4 @@
-"""The sets of words that arguments and files are chosen from."""
+"""What arguments and files are chosen from."""
 
 from typing import Literal, TypeAlias
 
@@ -9,6 +9,8 @@ CompletionName: TypeAlias = Literal["least-squares", "repeat"]
 # Which engine is asked for, and which one runs.
 Engine: TypeAlias = Literal["auto", "fused", "scan"]
 RunningEngine: TypeAlias = Literal["fused", "scan"]
+
+MOST_SUBSTEPS = 1000  # of a sampling interval
 
 # What becomes of samples that are missing.
 Missing: TypeAlias = Literal["refuse", "coast", "interpolate"]

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import scipy.io
 import tomlkit
+from test_study_config import SMALL
 
 from aslo_jax.cli import main
 
@@ -28,39 +29,6 @@ inertia = 1e-3
 [observer]
 cutoff = 120.0
 pll_bandwidth = 150.0
-"""
-
-STUDY = """
-title = "Small"
-interval = 1e-3
-horizon = 0.02
-every = 10
-design = "lhs"
-
-[machine]
-kind = "double_integrator"
-
-[control]
-kind = "open_loop"
-signal = { kind = "wave", amplitude = 1.0, frequency = 2.0 }
-
-[observers.ASLO]
-kind = "aslo"
-cutoff = 50.0
-
-[[sensor]]
-kind = "noise"
-deviation = 0.01
-
-[spread.speed]
-where = "initial.1"
-distribution = "normal"
-mean = 0.0
-deviation = 1.0
-
-[metrics.rms]
-kind = "rms"
-after = 0.01
 """
 
 NUMBERS = ["nan", "inf", "-inf", "1e308", "-1", "0", "1e-320", "-0.0", "1e400", "0x10"]
@@ -346,7 +314,7 @@ def case(number: int, folder: Path) -> list[str]:
     log, machine, study = folder / "log.csv", folder / "m.toml", folder / "s.toml"
     log.write_text("\n".join(",".join(row) for row in as_text(motor_log())))
     machine.write_text(MACHINE)
-    study.write_text(STUDY)
+    study.write_text(SMALL)
     kind = int(random.integers(20))
     options: list[str] = []
     if kind < 9:
@@ -358,7 +326,7 @@ def case(number: int, folder: Path) -> list[str]:
     elif kind < 16:
         options = bad_options(random)
     else:
-        study = bad_toml(random, STUDY, study)
+        study = bad_toml(random, SMALL, study)
         out = str(folder / "out")
         return ["study", str(study), "--samples", "3", "--out", out, "-q", "--no-report"]
     out = folder / f"out{random.choice(['.csv', '.npz', '.parquet'])}"

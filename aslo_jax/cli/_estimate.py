@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 import typer.core
 
+from .._choices import MOST_SUBSTEPS
 from .._extras import require
 from ._options import (
     AngleColumn,
@@ -98,7 +99,7 @@ def estimate(
         int | None,
         typer.Option(
             min=1,
-            max=1000,  # as of `step`
+            max=MOST_SUBSTEPS,
             help="Steps per sampling interval, between which outputs are interpolated; by "
             "default 4, and 1 for a Kalman filter, which takes samples as they are.",
         ),

@@ -25,13 +25,14 @@ def again(
     seed: int,
     index: int,
     out: Path,
+    store: Path,
     engine: Engine,
     drawn: bool,
     quiet: bool,
 ) -> None:
     """Run the sample `index` again, write its signals and, if it is to be `drawn`, the
-    figure of its errors to `out`, and print what is known of it unless `quiet`."""
-    store = out / "study.zarr"
+    figure of its errors to `out`, and print what is known of it unless `quiet`. Settings
+    of another study than that in `store`, if there is one, are refused."""
     if store.exists():
         _refuse_another(store, configuration, samples, seed)
     found = rerun(

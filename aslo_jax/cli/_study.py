@@ -152,7 +152,8 @@ def study(
     if replay is not None:
         from ._sample_again import again
 
-        again(configuration, samples, seed, replay, out, engine.value, report, quiet)
+        settings = out, out / STORE, engine.value, report, quiet
+        again(configuration, samples, seed, replay, *settings)
         return
     if sensitivity:
         _rms(configuration)

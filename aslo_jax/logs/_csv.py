@@ -67,6 +67,7 @@ def _batches(layout: Layout, wanted: Sequence[str], blanks: bool) -> Iterator[Co
                 first += batch.num_rows
     except pyarrow.ArrowException as error:
         raise _diagnosis(layout, wanted, blanks, str(error)) from None
+    # Ten million rows leave 90 MB behind in the pool otherwise.
     pyarrow.default_memory_pool().release_unused()
 
 

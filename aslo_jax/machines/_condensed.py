@@ -57,18 +57,13 @@ class Condensing:
         there, blocks = np.concatenate(self._there), self._blocks
         self._waiting, self._blocks, self._there = [], [], []
         noises = [block.noise for block in blocks if block.noise is not None]
-        rows = sum(block.u.shape[0] for block in blocks)
-        u, y = (np.empty((rows, x.shape[1])) for x in (blocks[0].u, blocks[0].y))
-        blocks.reverse()
-        first = 0
-        while blocks:  # one by one, so that a long log is not held twice
-            block = blocks.pop()
-            last = first + block.u.shape[0]
-            u[first:last], y[first:last] = block.u, block.y
-            first = last
-        if not there.all():
-            t = t[there]
-        return CondensedLog(t, u, y, {}, noise=pooled(noises) if noises else None)
+        return CondensedLog(
+            t if there.all() else t[there],
+            np.concatenate([block.u for block in blocks]),
+            np.concatenate([block.y for block in blocks]),
+            {},
+            noise=pooled(noises) if noises else None,
+        )
 
     def _close(self, log: Log) -> None:
         finite = np.isfinite(np.concatenate([log.u, log.y], axis=1))
