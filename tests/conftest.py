@@ -62,9 +62,11 @@ gc.set_threshold(100_000)
 def pytest_configure(config: pytest.Config) -> None:
     """Programs that were compiled for one module are loaded by the next, and by the
     processes of its tests. Each worker has its own folder, since JAX writes to it without
-    a lock."""
-    folder = tempfile.mkdtemp(prefix="aslo_jax_compiled_")
-    config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
+    a lock; `ASLO_JAX_TEST_CACHE` is one that is kept, for a run in one process."""
+    folder = os.environ.get("ASLO_JAX_TEST_CACHE", "")
+    if not folder:
+        folder = tempfile.mkdtemp(prefix="aslo_jax_compiled_")
+        config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
     settings = {
         "jax_compilation_cache_dir": folder,
         "jax_persistent_cache_min_compile_time_secs": 0,
