@@ -197,6 +197,11 @@ def _verdict(table: Table, scale: float, units: str) -> str:
             f"{formats.number(ratio.value)} times the Cramér-Rao bound "
             f"({formats.interval(ratio)})."
         )
+    if table.bound and table.unknown:
+        text += (
+            " Without the parameters that are spread in the machine the bound is "
+            f"{formats.number(table.unknown / table.bound)} times as large."
+        )
     return text
 
 

@@ -1,16 +1,19 @@
 """The bound of a study and what decides its errors, against closed forms."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 
 import aslo_jax as aslo
 from aslo_jax import study
 from aslo_jax.control import OpenLoop
 from aslo_jax.disturbances import SampledNoise
 from aslo_jax.metrics import RMSError
-from aslo_jax.study import Discrete, LogNormal, Spread, Uniform
+from aslo_jax.study import Discrete, LogNormal, Normal, Parameter, Spread, Uniform
 
 H, STEPS = 0.02, 12
 
@@ -41,6 +44,42 @@ def test_bound_is_that_of_a_regression(scale):
     expected = np.linalg.inv(information)[1, 1] / (1.0 if scale is None else 16.0)
     assert found.variance.shape == (2, STEPS + 1, 1)
     np.testing.assert_allclose(found.variance[:, -1, 0], expected, rtol=1e-9)
+
+
+def test_the_bound_without_the_parameters_that_are_spread():
+    """A motor that stands: its currents tell the resistance, and with it the flux."""
+    motor = aslo.plants.PMSM(1.7, 9.3e-3, 0.11, 3, 2.3e-3)
+    key = aslo.random.key(0)
+    observer = aslo.OpenLoopIntegrator(motor.flux_relation())
+    loop = aslo.Experiment(
+        motor,
+        OpenLoop(lambda t: jnp.stack([jnp.cos(9.0 * t), jnp.sin(5.0 * t)])),
+        {"integral": observer},
+        1e-3,
+        sensor=SampledNoise(0.1, 1e-3, key),
+    )
+    relative = lambda where, mean, deviation: Parameter(
+        where, Normal(mean, deviation), relative=True
+    )
+    spread = Spread(
+        {
+            "hot": relative("plant.resistance", 1.2, 0.3),
+            "weak": Parameter("plant.magnet_flux", Normal(0.1, 0.002)),
+            "known": relative("*.inductance", 1.0, 0.1),
+            "noise": relative("sensor.deviation", 1.0, 0.01),
+        }
+    )
+    found = study.unknown_in(loop, spread)
+    assert list(found) == ["resistance", "magnet_flux"]
+    np.testing.assert_allclose([*found.values()], [0.25, 0.02], rtol=0.05)
+    settings: Any = dict(key=jax.random.key(1), trajectories=3)
+    known = study.bound_of(loop, spread, 40, **settings)
+    unknown = study.bound_of(loop, spread, 40, unknown=found, scale=np.ones(2), **settings)
+    assert (unknown.norm[1:] > known.norm[1:]).all()
+    of_magnet = np.sqrt(unknown.parameters["magnet_flux"])
+    assert of_magnet.shape == (3, 41) and (of_magnet <= found["magnet_flux"]).all()
+    dataset = study.with_bound(xr.Dataset(), known, {"rms": 0.01}, unknown)
+    assert dataset["cramer_rao_rms"].attrs["unknown"] == unknown.rms(0.01).value
 
 
 def test_influence_of_what_the_error_is_and_is_not():

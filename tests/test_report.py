@@ -47,7 +47,7 @@ def dataset():
             "error": (("sample", "time", "observer"), error, {"units": "Wb"}),
             "parameter_resistance": (("sample",), 8.8 + common, ohms),
             "cramer_rao": (("time",), 1e-4 / (0.1 + TIME), {"units": "Wb"}),
-            "cramer_rao_rms": ((), 5e-4),
+            "cramer_rao_rms": ((), 5e-4, {"unknown": 1.2e-3}),
         },
         {"observer": ["ASLO", "Peer <1>"], "time": TIME},
         {
@@ -124,6 +124,10 @@ def test_the_verdicts(page):
     assert "has 1.50 times the value of Peer &lt;1&gt; in the median sample" in page
     assert "Not finite in 3 of Peer &lt;1&gt;, out of 60 samples each." in page
     assert re.search(r"The rms of ASLO over the samples is [\d.]+ times the Cram", page)
+    without = (
+        "Without the parameters that are spread in the machine the bound is 2.40 times"
+    )
+    assert page.count(without) == 1
 
 
 def test_the_page_stands_alone(page):

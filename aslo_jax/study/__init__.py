@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ._bound import Bound as Bound, cramer_rao as cramer_rao, with_bound as with_bound
     from ._comparison import compare as compare, ranking as ranking
     from ._influence import influences as influences
-    from ._reference import bound_of as bound_of
+    from ._reference import bound_of as bound_of, unknown_in as unknown_in
     from ._rerun import Rerun as Rerun, rerun as rerun
     from ._sensitivity import slopes as slopes, sobol_indices as sobol_indices
     from ._statistics import quantile as quantile, summarise as summarise
@@ -49,6 +49,7 @@ __all__ = [
     "slopes",
     "sobol_indices",
     "summarise",
+    "unknown_in",
     "with_bound",
     "write_report",
 ]
@@ -59,6 +60,7 @@ _LATER = {
     "cramer_rao": "_bound",
     "with_bound": "_bound",
     "bound_of": "_reference",
+    "unknown_in": "_reference",
     "compare": "_comparison",
     "ranking": "_comparison",
     "influences": "_influence",

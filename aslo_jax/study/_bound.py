@@ -22,6 +22,7 @@ from ..disturbances import AbstractDisturbance, SampledNoise
 from ..engines import run_batch
 from . import _statistics as statistics
 from ._tables import BOUND
+from ._unknown import Unknown, unknown_of
 
 Square = Float[Array, "n n"]
 
@@ -29,13 +30,17 @@ Square = Float[Array, "n n"]
 class Bound(Module):
     """The bound at the instants `t` (s) of the samples in time, shape `(T,)`: `variance` of
     each entry of the hidden state in its squared unit, shape `(N, T, m)`, for N
-    trajectories, or one where they were averaged before.
+    trajectories, or one where they were averaged before; and `parameters`, the variance of
+    the relative error of each parameter that is unknown, by name, shape `(N, T, ...)`.
 
     **Raises:** `ValueError` for an rms after a time that is past the last sample.
     """
 
     t: Float[np.ndarray, " T"]
     variance: Float[np.ndarray, "N T m"]
+    parameters: dict[str, Float[np.ndarray, "N T ..."]] = dataclasses.field(
+        default_factory=dict
+    )
 
     @property
     def deviation(self) -> Float[np.ndarray, "T m"]:
@@ -74,10 +79,12 @@ def cramer_rao(
     prior: PyTree,
     process: PyTree | None = None,
     noise: Any = None,
+    unknown: Mapping[str, Any] | None = None,
     average: Average = "bounds",
 ) -> Bound:
     """The Cramer-Rao bound on the error of any observer that knows the plant, the inputs
-    and the statistics of the noises, for `make(sample)` over `steps` samples in time.
+    and the statistics of the noises, for `make(sample)` over `steps` samples in time; but
+    for parameters of the plant that are `unknown`.
 
     - `samples`: as of [`run_batch`][], a few hundred: the trajectories over which is
       averaged;
@@ -89,6 +96,10 @@ def cramer_rao(
       speed;
     - `noise`: the standard deviation of each entry of y; by default that of the
       [`SampledNoise`][] in the experiment's `sensor`;
+    - `unknown`: by default none; parameters of the plant by name, fields joined by dots, to
+      the standard deviation of their relative error a priori: `{"resistance": 0.1}` is one
+      that is known to 10 %. They are constant states beside those of the plant, and `make`
+      gives their true values. Inputs are what was applied, whatever a controller knew;
     - `average`: `"bounds"` takes the bound along each trajectory, then the mean of their
       squares; `"information"` takes expectations inside the recursion, as Tichavsky does.
 
@@ -112,8 +123,9 @@ def cramer_rao(
     Sources: Tichavsky, Muravchik, Nehorai 1998, doi:10.1109/78.668800; Taylor 1979,
     doi:10.1109/TAC.1979.1101979, for the bound along a trajectory.
 
-    **Raises:** `ValueError` in single precision, for a sensor without noise, or for
-    `"information"` without noise on every state.
+    **Raises:** `ValueError` in single precision, for a sensor without noise, for
+    `"information"` without noise on every state, which parameters never have, and for
+    `unknown` ones that the plant does not have, or that are zero.
     """
     one_of("average", average, _choices.Average)
     if jnp.result_type(float) != jnp.float64:
@@ -122,8 +134,13 @@ def cramer_rao(
             '`jax.config.update("jax_enable_x64", True)` first.'
         )
     samples = jax.tree.map(jnp.asarray, samples)
-    model = _Model(make, prior, process, noise)
+    model = _Model(make, prior, process, noise, unknown_of(unknown, make, samples))
     if average == "information":
+        if unknown:
+            raise ValueError(
+                'Argument `average` must be "bounds" where parameters are `unknown`, which '
+                'have no noise, but got "information".'
+            )
         t, variance, definite = _together(model, samples, steps)
         if not bool(definite):
             raise ValueError(
@@ -132,16 +149,28 @@ def cramer_rao(
             )
     else:
         t, variance = _each(model, samples, steps)
-    return Bound(np.asarray(t), np.asarray(variance))
+    t, variance = np.asarray(t), np.asarray(variance)
+    if not unknown:
+        return Bound(t, variance)
+    size = variance.shape[2] - sum(d.size for d in model.unknown.deviations)
+    parameters = model.unknown.split(variance[:, :, size:])
+    return Bound(t, variance[:, :, :size], parameters)
 
 
-def with_bound(dataset: Any, bound: Bound, after: Mapping[str, float]) -> Any:
+def with_bound(
+    dataset: Any, bound: Bound, after: Mapping[str, float], unknown: Bound | None = None
+) -> Any:
     """The `xarray.Dataset` of a study with the `bound`, for its report.
 
-    - `after` (s) by the name of each metric of the dataset that is an `RMSError`.
+    - `after` (s) by the name of each metric of the dataset that is an `RMSError`;
+    - `unknown`: the bound of those to whom the parameters that are spread are unknown,
+      which becomes the attribute of that name.
     """
-    found = {f"cramer_rao_{name}": bound.rms(t).value for name, t in after.items()}
-    dataset = dataset.assign(found)
+    dataset = dataset.assign(
+        {f"{BOUND}_{name}": bound.rms(t).value for name, t in after.items()}
+    )
+    for name, t in after.items() if unknown is not None else ():
+        dataset[f"{BOUND}_{name}"].attrs["unknown"] = unknown.rms(t).value
     if "time" in dataset.coords:
         at = np.abs(bound.t[None] - dataset.time.values[:, None]).argmin(1)
         dataset = dataset.assign(cramer_rao=(("time",), bound.norm[at]))
@@ -149,16 +178,20 @@ def with_bound(dataset: Any, bound: Bound, after: Mapping[str, float]) -> Any:
 
 
 class _Model(Module):
-    """The discrete-time model of one sample, linearised about its trajectory."""
+    """The discrete-time model of one sample, linearised about its trajectory: of the state
+    and of the relative errors of what is unknown, which are zero along it."""
 
     make: Callable[[PyTree], Experiment]
     prior: PyTree
     process: PyTree | None
     noise: Any
+    unknown: Unknown
 
     def first(self, sample: PyTree) -> tuple[Carry, Record, Square]:
-        carry, record = self.make(sample).init()
-        return carry, record, jnp.diag(_flat(self.prior, carry.x) ** 2)
+        experiment = self.make(sample)
+        carry, record = experiment.init()
+        known = _flat(self.prior, carry.x), self.unknown.start(experiment.plant)
+        return carry, record, jnp.diag(jnp.concatenate(known) ** 2)
 
     def onward(self, sample: PyTree, carry: Carry, prepared: Any, k: Any):
         """The next carry and record, F and Q."""
@@ -166,28 +199,42 @@ class _Model(Module):
         x, back = ravel_pytree(carry.x)
         u, held = ravel_pytree(carry.command)
         t, h = k * experiment.interval, experiment.interval
+        errors = jnp.zeros_like(self.unknown.start(experiment.plant))
 
-        def flow(x, u):
+        def flow(x, errors, u):
             state, part = back(x), h / experiment.plant_steps
-            rate = lambda t, x: experiment.plant.vector_field(t, x, held(u))
+            plant = self.unknown.at(experiment.plant, errors)
+            rate = lambda t, x: plant.vector_field(t, x, held(u))
             for j in range(experiment.plant_steps):
                 state = runge_kutta(rate, t + j * part, state, part)
             return ravel_pytree(state)[0]
 
-        F, G = jax.jacfwd(flow, (0, 1))(x, u)
-        unknown = _variance(experiment.actuator, carry.command)
-        unknown = unknown + _variance(experiment.input_sensor, carry.command)
-        Q = (G * unknown) @ G.T
+        F, by_errors, G = jax.jacfwd(flow, (0, 1, 2))(x, errors, u)
+        noise = _variance(experiment.actuator, carry.command)
+        noise = noise + _variance(experiment.input_sensor, carry.command)
+        Q = (G * noise) @ G.T
         if self.process is not None:
             Q = Q + h * jnp.diag(_flat(self.process, carry.x) ** 2)
+        if errors.size:
+            q = errors.size
+            F = jnp.block([[F, by_errors], [jnp.zeros((q, x.size)), jnp.eye(q)]])
+            Q = jnp.pad(Q, (0, q))
         return *experiment.advance(k, carry, prepared), F, Q
 
     def measured(self, sample: PyTree, carry: Carry):
-        """The rows of `R^-1/2 H`, and the Jacobian of what is hidden."""
+        """The rows of `R^-1/2 H`, and the Jacobian of what is hidden and unknown."""
         plant, sensor = self.make(sample).plant, self.make(sample).sensor
         x, back = ravel_pytree(carry.x)
-        output = lambda x: ravel_pytree(plant.output(back(x)))[0]
-        H, C = jax.jacfwd(lambda x: (output(x), plant.hidden(back(x))))(x)
+        errors = jnp.zeros_like(self.unknown.start(plant))
+
+        def seen(x, errors):
+            at = self.unknown.at(plant, errors)
+            return ravel_pytree(at.output(back(x)))[0], at.hidden(back(x))
+
+        H, C = jax.jacfwd(lambda X: seen(X[: x.size], X[x.size :]))(
+            jnp.concatenate([x, errors])
+        )
+        C = jnp.concatenate([C, jnp.eye(H.shape[1])[x.size :]])
         if self.noise is None:
             if not _noises(sensor):
                 raise ValueError(

@@ -1,6 +1,7 @@
 """The Cramer-Rao bound of a study, the reference line of its report."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from ._config import Configuration
 
 TRAJECTORIES = 64
+_DRAWN = 4096  # values, for the deviation of a parameter
 # What is known of the start: as good as nothing, beside what a second of samples says.
 _PRIOR = 10.0
 
@@ -42,13 +44,15 @@ def bound_of(
     key: random.KeyLike,
     trajectories: int = TRAJECTORIES,
     scale: Float[np.ndarray, " n"] | None = None,
+    unknown: Mapping[str, Any] | None = None,
 ) -> Bound:
     """The bound, averaged over the first samples of a study, so many `trajectories`, of the
     error over `scale`, shape `(n,)`, where one is given.
 
-    - `experiment`, `spread`, `steps`, `key`: as in [`run`][].
+    - `experiment`, `spread`, `steps`, `key`: as in [`run`][];
+    - `unknown`: as in [`cramer_rao`][]; those of [`unknown_in`][], for instance.
 
-    It is one for observers that know the parameters of each sample and nothing of its
+    It is one for observers that know all other parameters of each sample and nothing of its
     start: a deviation of 10 in every entry of the state, in its SI unit.
 
     **Raises:** as [`cramer_rao`][].
@@ -61,22 +65,48 @@ def bound_of(
 
     state = jax.eval_shape(lambda: experiment.init()[0].x)
     prior = jax.tree.map(lambda x: jnp.full(x.shape, _PRIOR), state)
-    bound = cramer_rao(make, samples, steps, prior=prior)
-    return bound if scale is None else Bound(bound.t, bound.variance / scale**2)
+    bound = cramer_rao(make, samples, steps, prior=prior, unknown=unknown)
+    if scale is None:
+        return bound
+    return dataclasses.replace(bound, variance=bound.variance / scale**2)
+
+
+def unknown_in(experiment: Experiment, spread: Spread) -> dict[str, np.ndarray]:
+    """The parameters of the plant that a spread varies and the observers do not know, with
+    the deviation of each relative to its mean, shaped like it: the `unknown` of
+    [`bound_of`][].
+
+    - `experiment`, `spread`: as in [`run`][].
+
+    What one item of the spread sets in several places is not among them, since it is known
+    where one of them is an observer's; nor is a parameter whose mean is zero.
+    """
+    sampler = Sampler(experiment, spread, 0, _DRAWN)
+    values = sampler.values(0, _DRAWN)
+    mean, deviation = values.mean(0), values.std(0)
+    layout, found = sampler.make.layout, {}
+    for k, places in enumerate(sampler.make.places):
+        path = layout.paths[places[0].leaf]
+        stem, _, name = path.partition(".")
+        if stem != "plant" or len(places) > 1 or mean[k] == 0.0:
+            continue
+        shape = np.shape(layout.leaves[places[0].leaf])
+        each = found.setdefault(name, np.zeros(shape))
+        each[places[0].entry] = deviation[k] / abs(mean[k])
+    return found
 
 
 def with_reference(dataset: Any, configuration: "Configuration", seed: int) -> Any:
     """The `xarray.Dataset` of a study with its bound, or as it is without one."""
     if not has_bound(configuration):
         return dataset
-    bound = bound_of(
-        configuration.experiment,
-        configuration.spread,
-        configuration.steps,
-        key=random.key(seed),
-        scale=configuration.scale,
-    )
-    return with_bound(dataset, bound, _after(configuration))
+    parts = configuration.experiment, configuration.spread
+    settings = {"key": random.key(seed), "scale": configuration.scale}
+    bound = bound_of(*parts, configuration.steps, **settings)
+    names, unknown = unknown_in(*parts), None
+    if names:
+        unknown = bound_of(*parts, configuration.steps, unknown=names, **settings)
+    return with_bound(dataset, bound, _after(configuration), unknown)
 
 
 def _after(configuration: "Configuration") -> dict[str, float]:

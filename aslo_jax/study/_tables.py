@@ -17,7 +17,8 @@ BOUND = "cramer_rao"
 class Table(NamedTuple):
     """One metric: its `name` in the dataset, a `label` and the `unit`; the `summaries` by
     observer, the `places` of the ranking and the `comparisons` behind it; the Cramer-Rao
-    `bound` on the rms over samples, or `None`."""
+    `bound` on the rms over samples, or `None`; that for observers that do not know the
+    parameters that are spread, `unknown`, or `None`."""
 
     name: str
     label: str
@@ -26,6 +27,7 @@ class Table(NamedTuple):
     places: list[Place]
     comparisons: list[Comparison]
     bound: float | None
+    unknown: float | None = None
 
 
 def table(dataset: Any, name: str, confidence: float, seed: int = 0) -> Table:
@@ -41,6 +43,7 @@ def table(dataset: Any, name: str, confidence: float, seed: int = 0) -> Table:
         ranking(values, confidence, comparisons),
         comparisons,
         None if bound is None else float(bound),
+        None if bound is None else bound.attrs.get("unknown"),
     )
 
 
