@@ -10,8 +10,9 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
 from .._filters import AbstractLaw
+from .._small import safe_reciprocal
 from .._typing import PyTree
-from ._adaptive_model import Model, distance, slope_by_y, turned
+from ._adaptive_model import Model, distance, slope_by_y, spread_of, turned
 from ._adaptive_start import Fit, Found, emptied, fitted, joined
 from ._lifted_filter import grown
 
@@ -22,6 +23,9 @@ MOST, ENOUGH = 0.96, 0.6  # of the bank: certain, at once or after
 PATIENCE = 2.5  # times the samples that it took
 WIDENED = 64.0  # times the shortest window
 SMOOTHING = 50.0  # rad/s, of the y in slopes, in the frame that turns with the row
+# It follows y at once where that is away by more than so many times the variance of noise:
+# in a transient, slopes at a y that lags claim what the samples do not tell.
+FOLLOWED = 8.0
 MERGING = 1.0  # s, the least that the bank is kept
 ALIVE = 1e-3  # the weight of a rival
 AGREE = 0.8  # the cosine between directions of one solution
@@ -309,6 +313,8 @@ class AdaptiveKalman(AbstractLaw):
         P = P + seen * _bordered(inner, aside)
         mean = mean.at[:n].add(-seen * by_y @ told * surprise / S)
         weight = jnp.clip(h * jnp.maximum(SMOOTHING, 1.0 / (age + h)), 0.0, 1.0)
+        away = jnp.mean(((flat - smooth) / spread_of(model, y1)) ** 2)
+        weight = jnp.maximum(weight, 1.0 - FOLLOWED * safe_reciprocal(away))
         # What noise of the samples alone would do differs from member to member, and with
         # it how likely any y is, by as much: that cancels.
         over = jnp.maximum(S / jnp.sum(told * told), LEAST)
