@@ -1,5 +1,6 @@
 """Every benchmark, or those named on the command line. `--quick`: shorter ones of `pmsm`,
-`tuning` and `calibration`; `--install`: environments for `peers` that need their own."""
+`tuning` and `calibration`; `--install`: environments for `peers` that need their own;
+`--regime NAME`: of `quality`, that one alone."""
 
 import functools
 import sys
@@ -21,7 +22,7 @@ from . import (
     verdict,
 )
 
-FLAGS = {"--quick", "--install"}
+FLAGS = {"--quick", "--install", "--regime"}
 quick = "--quick" in sys.argv
 BENCHMARKS = {
     "felt": felt.main,
@@ -41,7 +42,12 @@ BENCHMARKS = {
 }
 
 if __name__ == "__main__":
-    names = [name for name in sys.argv[1:] if name not in FLAGS] or list(BENCHMARKS)
+    words = [
+        word
+        for before, word in zip(sys.argv, sys.argv[1:], strict=False)
+        if word not in FLAGS and before != "--regime"
+    ]
+    names = words or list(BENCHMARKS)
     if unknown := set(names) - set(BENCHMARKS):
         sys.exit(f"No benchmark {sorted(unknown)}; there are {sorted(BENCHMARKS)}.")
     failures = [failure for name in names for failure in BENCHMARKS[name]()]
