@@ -20,10 +20,10 @@ def turning(t):
 
 
 def kicked(t):
-    """A burst of current and of speed at the start, of which the parameters are told."""
-    burst = np.exp(-t / 15e-3) - np.exp(-t / 4e-3)
-    speed, current = turning(t)
-    return speed + 700.0 * burst, current * (1 - np.exp(-t / 6e-3)) + 8.0 * burst
+    """A burst of current and of speed, of which the parameters are told."""
+    since = np.clip(t - 0.05, 0.0, None)
+    burst = np.exp(-since / 15e-3) - np.exp(-since / 4e-3)
+    return turning(t)[0] + 900.0 * burst, 0.2 + 10.0 * burst
 
 
 def steady(t):
@@ -94,16 +94,16 @@ def test_it_finds_the_parameters_and_knows_how_well(varied):
 
 
 def test_what_a_transient_tells_is_claimed_as_it_is():
-    """Of the first tenth of a second, where the current changes faster than it is smoothed
-    for the slopes: slopes that lag tell of the magnet flux what the samples do not."""
-    found, flux = many(kicked, 0.24, 12)
+    """Where the current changes faster than it is smoothed for the slopes: slopes that lag
+    tell what the samples do not, by 20 times in the squared errors of the parameters."""
+    found, flux = many(kicked, 0.24, 8)
     late = slice(900, None, 20)
     assert not found.coasting[:, late].any()
     P = jnp.diagonal(found.parameter_covariance[:, -1], axis1=1, axis2=2)
     off = (found.parameters[:, -1] - np.array([R, M])) / jnp.sqrt(P)
-    assert jnp.all(jnp.sqrt(P) < np.array([0.02, 0.01]) * np.array([R, M]))
+    assert jnp.all(jnp.sqrt(P).mean(0) < np.array([0.03, 0.005]) * np.array([R, M]))
     claims = jnp.mean(off**2, axis=0)
-    assert jnp.all((claims > 0.6) & (claims < 1.5))  # 60 runs: 1 +- 0.18
+    assert jnp.all((claims > 0.5) & (claims < 1.6))  # 40 runs: 1 +- 0.22
     assert 0.7 < flux_claims(found, flux, late) < 1.4
 
 
