@@ -173,13 +173,18 @@ class LiftedKalman(AbstractLaw):
 
     def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> Any:
         after = self.stage(X, v0, v1, coefficients)[0]
-        if self.missing is None:
-            return after
-        # Once x may be off by far more than it is large, nothing is known of it any more.
-        lists, begun = lists_of(after), self.start(*v1)
+        return after if self.missing is None else self.again(after, *v1)[0]
+
+    def again(
+        self, after: LiftedBelief, u: PyTree, y: PyTree
+    ) -> tuple[LiftedBelief, Bool[Array, ""]]:
+        """The belief `after` a sample that may be missing, and whether it is a new one:
+        once x may be off by far more than it is large, nothing is known of it any more."""
+        assert self.missing is not None
+        lists, begun = lists_of(after), self.start(u, y)
         far = trace(_unit(len(lists.x)), lists.spread()) > FAR**2 * dot(lists.x, lists.x)
         again = self.missing & far
-        return jax.tree.map(lambda a, b: jnp.where(again, a, b), begun, after)
+        return jax.tree.map(lambda a, b: jnp.where(again, a, b), begun, after), again
 
     def stage(
         self, X: LiftedBelief, v0: PyTree, v1: PyTree, h: Any
