@@ -30,15 +30,21 @@ def kinds(log, motor, **changed):
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.3])
-def test_resistance_that_spoils_the_flux_is_named_at_constant_speed(factor):
+def test_resistance_that_spoils_the_flux_is_told_at_constant_speed(factor):
     """An inductance that would have to be sixteen times as large is no excuse."""
-    assert kinds(recorded(WINCH), WINCH, R=factor * WINCH.R) == ["resistance"]
+    log = as_log(recorded(WINCH))
+    (warning,) = diagnose(log, [WINCH.circle(R=factor * WINCH.R)]).warnings
+    assert warning.kind == "undecided"
+    assert {"resistance", "radius"} <= set(warning.candidates)
+    assert "inductance" not in warning.candidates
+    told = float(warning.message.split("resistance is ")[1].split(" ohm")[0])
+    np.testing.assert_allclose(told, WINCH.R, rtol=0.01)
 
 
 def test_delta_parameters_do_not_pass_in_silence_at_constant_speed():
     three = {name: 3.0 * getattr(AXIS, name) for name in ("R", "Ld", "Lq")}
-    (kind,) = kinds(recorded(AXIS), AXIS, **three)  # the resistance is what does harm
-    assert kind in ("line_to_line", "resistance")
+    (warning,) = diagnose(as_log(recorded(AXIS)), [AXIS.circle(**three)]).warnings
+    assert {"line_to_line", "resistance"} & {warning.kind, *warning.candidates}
 
 
 @pytest.mark.parametrize("factor", [0.98, 1.0, 1.02])

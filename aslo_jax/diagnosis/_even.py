@@ -10,6 +10,7 @@ from . import _trial as trial
 from ._causes import causes
 from ._circle import Circle
 from ._leaps import by_leaps
+from ._level import chance
 from ._sample import Chunk
 from ._trial import Trial
 from ._windows import Windows
@@ -67,13 +68,17 @@ def timing(
                 return Timing(t, leaps[0.0] / max(leaps[best], 1e-300))
     if leaps and all(x > ALIKE * leaps[0.0] for s, x in leaps.items() if s):
         return Timing()
+    if leaps:  # what they speak against is none of the timings
+        least = ALIKE * min(leaps.values())
+        tried = [t for t in tried if leaps.get(t.tried.shift, math.inf) <= least]
     late = _instead_of_magnet(tried, nominal, circle)
-    if late is not None:
+    if late is not None and nominal.residual < chance(windows.drift, circle):
         (resistance,) = trial.of_each(
             windows, circle, [h for h in known if h.kind == "resistance"], windows
         )
         factor = 1.0 + resistance.values[0] / circle.resistance
-        possible = (resistance,) if factor > 0 and _fits(resistance, circle) else ()
+        fits = factor > 0 and _off(resistance, circle) < ODD / 2.0
+        possible = (resistance,) if fits else ()
         if not possible or abs(factor - 1.0) > LIKELY:
             return Timing(alike=(late, *possible))
     turn = windows.rate * windows.interval

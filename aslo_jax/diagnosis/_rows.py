@@ -116,8 +116,7 @@ def suspect_rows(log: Log, circle: Circle, interval: float) -> Rows:
             outliers += range(place + 1, partner + 1)
             taken = partner
         elif _stands_out(u, turning, place, error[place] / h[place]):
-            near = leap[max(place - 2, 0) : place + 3]
-            if L * np.abs(near).max() < 0.3 * size[place]:
+            if not _answers(L * leap[max(place - 2, 0) : place + 3], size[place], quiet):
                 inputs.append(place)
         elif not 3 <= place < step.size - 3 or pulses[place - 2 : place + 3].any():
             continue
@@ -205,6 +204,14 @@ def _stands_out(u: Any, turn: complex, place: int, leap: Any) -> bool:
         return False
     own = u[place] - 0.5 * (u[place - 1] + u[place + 1])
     return bool(abs(own - leap) < 0.3 * abs(leap))
+
+
+def _answers(leap: Any, size: Any, quiet: Any) -> bool:
+    """Whether a current answers to a voltage of a row, though by less than it should, as
+    one of another scale does; `leap`: of the rows around, times the inductance (V s)."""
+    own = np.abs(leap - np.median(leap.real) - 1j * np.median(leap.imag)).max()
+    largest = np.abs(leap).max()
+    return bool(largest >= 0.3 * size or own >= max(0.08 * size, 4.0 * quiet))
 
 
 def _pulses(u: Complex[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
