@@ -59,9 +59,9 @@ def test_scale_of_voltages_is_positive_where_either_sign_fits():
     log = recorded(ROLL)
     found = diagnose(as_log(log | {"u": log["u"] / 73}), [ROLL.circle()])
     (warning,) = found.warnings
-    assert warning.kind == "voltage_scale"
-    assert "wrong sign" not in warning.message.split(" or ")[0]
-    assert "73" in warning.message
+    assert warning.candidates == ("current_scale", "voltage_scale")
+    assert "wrong sign" not in warning.message
+    assert "the voltages are 73" in warning.message
 
 
 def test_level_of_the_magnet_and_timing_are_noted_where_nothing_else_can_be_told():
@@ -70,7 +70,8 @@ def test_level_of_the_magnet_and_timing_are_noted_where_nothing_else_can_be_told
     assert right.warnings == ()
     (note,) = right.notes
     assert "timing" in note
-    turn = float(note.split()[-2])
+    assert "A step of the load or of the speed in the same log tells it" in note
+    turn = float(note.split(" degrees")[0].split()[-1])
     assert turn == pytest.approx(np.degrees(QUAD.speed * QUAD.dt), rel=0.3)
     sign = diagnose(as_log(log | {"i": -log["i"]}), [QUAD.circle()])
     assert any("magnet flux that fits the log is 1." in note for note in sign.notes)

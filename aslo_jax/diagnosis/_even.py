@@ -85,8 +85,9 @@ def timing(
     if turn < TURN or not any(abs(t.tried.shift) == 1.0 for t in tried):
         return Timing()
     note = (
-        f"{circle.quantity}: the motion is too even to tell the timing of the voltages; a "
-        f"row late or early turns the estimate by {np.degrees(turn):.2g} degrees"
+        f"{circle.quantity}: speed and current are too even to tell the timing of the "
+        f"voltages; a row late or early would turn the estimate by {np.degrees(turn):.2g} "
+        "degrees. A step of the load or of the speed in the same log tells it"
     )
     return Timing(notes=(note,))
 

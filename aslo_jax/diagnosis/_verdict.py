@@ -203,7 +203,8 @@ def _level(nominal: Trial, circle: Circle) -> tuple[str, ...]:
     return (
         f"{circle.quantity}: the {circle.radius_name} that fits the log is {ratio:.3g} "
         "times the one given; where speed and current are constant, a wrong resistance, "
-        "sign, scale or timing of the voltage would look the same",
+        "sign, scale or timing of the voltage would look the same, and another speed or "
+        "current in the same log would tell them apart",
     )
 
 

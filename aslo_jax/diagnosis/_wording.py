@@ -79,7 +79,8 @@ def either(alike: Sequence[Trial], nominal: Trial, circle: Circle) -> Finding:
         alike[0].tried.kind,
         f"{causes}, or the {circle.radius_name} is {ratio:.4g} times the one given; at a "
         f"speed and a current that are constant they look alike. The {circle.quantity} is "
-        f"off by about {harms}, or right if it is the {circle.radius_name}; {remedies}",
+        f"off by about {harms}, or right if it is the {circle.radius_name}; {remedies}; "
+        "or record a step of the load, which tells them apart",
     )
 
 
