@@ -14,6 +14,7 @@ from ._turns import REACH, apart, losses
 FAR = 9.0  # times the median distance from what the neighbours say
 LEAST = 3e-3  # of the radius: what is smaller does little harm
 LONGEST = 12  # rows of an outlier
+SHORT = 0.6  # of the step of an outlier: one back that is smaller is not seen by itself
 BEHIND = (-3, -2, -1)
 NEIGHBOURS = (*BEHIND, 1, 2, 3)
 
@@ -111,8 +112,14 @@ def suspect_rows(log: Log, circle: Circle, interval: float) -> Rows:
     for k, place in enumerate(far):
         if place <= taken:
             continue
-        partner = _partner(error, far[k + 1 : k + 4], place)
-        if partner is not None and _jumps(y, place, partner, error[place] / -L):
+        # An output that is off by s moves the flux by -(L + h R/2) s, and on by L - h R/2.
+        drop = 0.5 * R * h[place]
+        back = (drop - L) / (L + drop)
+        after = far[k + 1 : k + 4]
+        if abs(back) < SHORT and place + 1 < size.size:
+            after = [place + 1, *after]
+        partner = _partner(error, after, place, back)
+        if partner is not None and _jumps(y, place, partner, -error[place] / (L + drop)):
             outliers += range(place + 1, partner + 1)
             taken = partner
         elif _stands_out(u, turning, place, error[place] / h[place]):
@@ -178,12 +185,12 @@ def _late(moves: Any, step: Any, turn: complex, place: int, behind: Any) -> bool
     return bool(max(abs(went_on), left.min()) < 0.3 * abs(behind))
 
 
-def _partner(error, after, place) -> int | None:
-    """The step that takes an error back, if there is one soon."""
+def _partner(error, after, place, back) -> int | None:
+    """The step that takes an error back, if there is one soon, by `back` times it."""
     for other in after:
         if other - place > LONGEST:
             return None
-        if abs(error[other] + error[place]) < 0.35 * abs(error[place]):
+        if abs(error[other] - back * error[place]) < 0.35 * abs(error[place]):
             return other
     return None
 
