@@ -119,3 +119,26 @@ def test_steps_of_small_currents_are_no_outliers_of_the_voltage(monkeypatch, mot
     monkeypatch.setitem(PROFILES, "own", steps)
     log = recorded(motor, "own")
     assert "input_outliers" not in told(log | {"i": log["i"] / 6.0}, motor)
+
+
+def test_a_voltage_that_vanishes_explains_nothing(monkeypatch):
+    """Most of it is R i, so that without it a small circle is left."""
+    weakened = (
+        lambda s: 1.0 + 0.0 * s,
+        lambda s: -0.4 + 0.0 * s,
+        lambda s: 0.55 + 0.0 * s,
+    )
+    monkeypatch.setitem(PROFILES, "own", weakened)
+    lift = Motor("lift", "pmsm", 1.9, 22e-3, 22e-3, 0.61, 8, 31.0, 14.0, 4e-4)
+    log = recorded(lift, "own", seed=11)
+    assert told(log | {"i": 1j * log["i"].conj()}, lift) == ["axes_swapped"]
+
+
+@pytest.mark.parametrize("factor", [0.97, 0.98, 1.02, 1.03])
+@pytest.mark.parametrize("noise", [0.0, 0.004])
+def test_two_rows_are_none_of_what_a_magnet_that_is_a_little_off_looks_like(factor, noise):
+    pump = Motor(
+        "pump", "interior_pmsm", 0.06, 0.33e-3, 0.71e-3, 0.105, 3, 700.0, 110.0, 1e-4
+    )
+    log = recorded(pump, noise=noise)
+    assert told(log, pump, psi=factor * pump.psi) == []

@@ -95,12 +95,12 @@ def timing(
 def _instead_of_magnet(
     tried: Sequence[Trial], nominal: Trial, circle: Circle
 ) -> Trial | None:
-    """The timing under which the magnet flux is the one that is given, which it is not
-    under the timing of the log."""
+    """The row, late or early, under which the magnet flux is the one that is given, which
+    it is not under the timing of the log. Two rows would fit by chance too often."""
     if circle.radius is None or _off(nominal, circle) < ODD:
         return None
-    found = [t for t in tried if _fits(t, circle) and t.flux_error > HARM]
-    return min(found, key=lambda t: abs(t.tried.shift), default=None)
+    late = [t for t in tried if abs(t.tried.shift) == 1.0 and t.flux_error > HARM]
+    return next((t for t in late if _fits(t, circle)), None)
 
 
 def _fits(t: Trial, circle: Circle) -> bool:

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from ._circle import Circle
 from ._trial import Trial
 from ._value import Finding
-from ._wording import better_than, cause_of, off, warning
+from ._wording import better_than, cause_of, changed, off, warning
 
 CLEAR = 3e-4  # a relative residual below which nothing is looked for
 BETTER = 5.0  # times that a hypothesis must make a residual smaller
 CHANCE, MOST = 3.0, 5e-3  # times what noise does; a relative residual
 ALIKE = 2.0  # times another residual, up to which a shape is as right
 SHOWN = 6  # causes that a message names
-LIKELY = math.log(2.0)  # of a parameter, or of a scale: one that is further off is not so
+LIKELY = math.log(2.1)  # of a parameter, or of a scale: one that is further off is not so
 EXACT = 0.05  # of the logarithm of a radius: as near something that is wrong as a whole
 SAME = 0.015  # relative: factors that are taken for one
 # Factors that signals are mistaken by: power-invariant, peak and rms, peak and power-
@@ -52,13 +52,23 @@ def of_level(
 ) -> Finding:
     """What is said where only the level is odd: of the causes that make it much better,
     the likely ones."""
-    found = _likely(_right(nominal, others, circle, drift), circle)
+    right = _right(nominal, others, circle, drift)
+    found = _likely(right, circle)
     radius = _radius(others)
     assert radius is not None
-    if len(found) <= 1:
-        found = found or [radius]
+    if all(t.tried.kind in SCALES for t in found):  # a scale fits any level
+        found = [*found, radius]
+    if len(found) == 1:
         return warning(better_than(nominal, found), found, circle)
-    return _undecided(radius, found, circle)
+    fitted = {
+        t.tried.kind for t in right if t.tried.kind in SINGLE and _positive(t, circle)
+    }
+    return _undecided(radius, found, circle, bool(fitted - {t.tried.kind for t in found}))
+
+
+def _positive(t: Trial, circle: Circle) -> bool:
+    scale = t.tried.kind in SCALES
+    return t.values[0] > -1.0 if scale else changed(t, circle) > 0.0
 
 
 def _radius(others: Sequence[Trial]) -> Trial | None:
@@ -146,10 +156,13 @@ def _near(size: float, others: Sequence[float]) -> bool:
     return any(abs(size - x) < SAME for x in others)
 
 
-def _undecided(radius: Trial, found: Sequence[Trial], circle: Circle) -> Finding:
+def _undecided(
+    radius: Trial, found: Sequence[Trial], circle: Circle, others: bool
+) -> Finding:
     shown = found[:SHOWN]
     causes = "; or ".join(cause_of(t, circle) for t in shown)
-    more = "" if len(found) == len(shown) else "; or others"
+    rarer = others or len(found) > len(shown)
+    more = "; or, less likely, another scale or parameter" if rarer else ""
     errors = [100.0 * t.flux_error for t in shown]
     least, most = min(errors), max(errors)
     spread = f"by up to {most:.2g} %" if least < 0.1 else f"by {least:.2g} to {most:.2g} %"

@@ -128,7 +128,8 @@ def suspect_rows(log: Log, circle: Circle, interval: float) -> Rows:
         elif not 3 <= place < step.size - 3 or pulses[place - 2 : place + 3].any():
             continue
         elif not _late(moves, step, pace, place, behind[place]) and any(
-            _unexplained(x[place], L * leap[place]) for x in (error, behind)
+            _unexplained(x[place], L * leap[place], circle.saliency / L)
+            for x in (error, behind)
         ):
             lost.append(place)
     as_rows = lambda found: np.array(sorted(set(found)), int)
@@ -234,8 +235,9 @@ def _pulses(u: Complex[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
     return np.concatenate([[False], size > limit, [False]])
 
 
-def _unexplained(error: Any, leap: Any) -> bool:
+def _unexplained(error: Any, leap: Any, saliency: float) -> bool:
     """Whether most of the step of the current is what no voltage explains: all but one of
-    `n + 1` intervals, where n rows are lost."""
+    `n + 1` intervals, where n rows are lost. A step of i_d leaves as much as the `saliency`
+    (relative) of the machine."""
     share = -(error * np.conj(leap)).real / max(abs(leap) ** 2, 1e-300)
-    return bool(0.4 < share < 1.6)
+    return bool(0.4 + 0.5 * abs(saliency) < share < 1.6)

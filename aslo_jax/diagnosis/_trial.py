@@ -12,6 +12,7 @@ from ._circle import Circle
 from ._hypotheses import Hypothesis, apply
 from ._windows import Windows
 
+CHANCE = 3e-3  # a relative residual: what noise makes of a cost at most
 ARC = 1.5  # rad that the flux must turn in a window
 
 
@@ -21,7 +22,8 @@ class Trial:
 
     - `cost`, `residual`, `noise`, relative to the radius; `radius` (Wb): the one that fits;
     - `values`: of the free parameters of the hypothesis;
-    - `load`: what the current takes off the flux and links, relative, rms;
+    - `load`: what the current takes off the flux and links, and `drive`: what the voltage
+      adds to it, relative, rms;
     - `lead`: of a log in dq, `exp(j a)` of the angle a by which the magnet is ahead of the
       d axis, in the mean, so that its length is 1 where that is constant;
     - `flux_error`: of an estimate that knows nothing of it, relative, rms.
@@ -36,6 +38,7 @@ class Trial:
     flux_error: float
     lead: complex = 0j
     load: float = 0.0
+    drive: float = 0.0
 
     @property
     def tried(self) -> Hypothesis:
@@ -105,7 +108,7 @@ def _arcs(
 def _tried(windows, circle, hypotheses, nominal):
     same = Hypothesis("", "")
     each = [same if h is None else h for h in hypotheses]
-    g, y, basis, start, flux, flux_basis, load, owner = ([] for _ in range(8))
+    g, y, basis, start, flux, flux_basis, load, drive, owner = ([] for _ in range(9))
     for k, h in enumerate(each):
         signals = _changed(windows, circle, h)
         for first in h.starts[: len(h.starts) if h.free else 1]:
@@ -116,7 +119,7 @@ def _tried(windows, circle, hypotheses, nominal):
                 values[0] = first * unit.get(h.free[0], 1.0)
             owner.append(k)
             start.append(values)
-            lists = (g, y, basis, flux, flux_basis, load)
+            lists = (g, y, basis, flux, flux_basis, load, drive)
             for those, one in zip(lists, signals, strict=True):
                 those.append(one)
     stack = np.stack
@@ -135,7 +138,8 @@ def _tried(windows, circle, hypotheses, nominal):
     for k, h in enumerate(hypotheses):
         rows = np.flatnonzero(owner == k)
         # At constant speed a scale has two values that fit; one of them may be negative.
-        alike = found.cost[rows] <= 2.0 * found.cost[rows].min() + 1e-4
+        chance = min(3.0 * windows.drift / max(found.radius[rows].max(), 1e-300), CHANCE)
+        alike = found.cost[rows] <= 2.0 * found.cost[rows].min() + 1e-4 + chance
         change = np.abs(found.values[rows]).sum(axis=1)
         if h and h.free and h.free[0] in ("voltage", "current"):
             factor = 1.0 + found.values[rows, 0]
@@ -159,8 +163,11 @@ def _tried(windows, circle, hypotheses, nominal):
         magnet = g[best] + np.einsum("p,pwn->wn", found.values[best], basis[best])
         still = h is not None and np.median(_arcs(found.centre[best], magnet)) < ARC
         taken = load[best] - load[best].mean(axis=1, keepdims=True)
+        added = drive[best] - drive[best].mean(axis=1, keepdims=True)
         if h is not None and h.free == ("current",):
             taken = (1.0 + found.values[best, 0]) * taken
+        if h is not None and h.free == ("voltage",):
+            added = (1.0 + found.values[best, 0]) * added
         trials.append(
             Trial(
                 h,
@@ -172,6 +179,7 @@ def _tried(windows, circle, hypotheses, nominal):
                 error,
                 lead,
                 float(np.sqrt(np.mean(np.abs(taken) ** 2))) / scale,
+                float(np.sqrt(np.mean(np.abs(added) ** 2))) / scale,
             )
         )
     return trials, mine
@@ -179,7 +187,7 @@ def _tried(windows, circle, hypotheses, nominal):
 
 def _changed(windows: Windows, circle: Circle, h: Hypothesis):
     """g and y of a hypothesis, what its free parameters add to g, both for the flux, and
-    what the current takes off it and links."""
+    what the current takes off it and links, and what the voltage adds to it."""
     R, L = circle.resistance * h.resistance, circle.inductance * h.inductance
     voltage = windows.shifted[h.shift] if h.shift else windows.voltage
     voltage = apply(h.voltage, voltage)
@@ -198,4 +206,4 @@ def _changed(windows: Windows, circle: Circle, h: Hypothesis):
     basis = np.stack([effects[f][0] for f in h.free]) if h.free else none
     on_flux = np.stack([effects[f][1] for f in h.free]) if h.free else none
     flux = voltage - R * current
-    return flux - L * y, y, basis, flux, on_flux, R * current + L * y
+    return flux - L * y, y, basis, flux, on_flux, R * current + L * y, voltage

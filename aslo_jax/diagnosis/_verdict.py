@@ -26,7 +26,7 @@ DOUBT = 0.1  # of a parameter: an error that is likely in a right log
 LIKELY = math.log(1.5)  # of a parameter: one that is further off is not so by itself
 EXCUSE = math.log(1.2)  # the same, where the timing of the voltages may be wrong instead
 ABSURD = math.log(3.0)  # of a parameter: others come first
-LIGHT = 5e-4  # of the flux: what a current does at least that is there
+LIGHT, DRIVEN = 5e-4, 0.02  # of the flux: what a current, and a voltage, does at least
 FLOOR = 0.2  # of the noise: what a residual below it is, is chance
 LEVEL = math.log(1.03)  # of the radius: worth a note
 BESIDE = 30.0  # degrees: a magnet that is as far from its d axis is worth a warning
@@ -239,6 +239,8 @@ def _possible(t: Trial, circle: Circle) -> bool:
     if t.tried.kind in ("voltage_scale", "current_scale") and abs(1.0 + t.values[0]) < 1e-9:
         return False  # a signal that is to be nothing explains nothing
     if t.tried.kind in ("current_unit", "current_scale") and t.load < LIGHT:
+        return False
+    if t.tried.kind in ("voltage_unit", "voltage_scale") and t.drive < DRIVEN:
         return False
     return math.isfinite(t.cost) and changed(t, circle) > 0.0
 
