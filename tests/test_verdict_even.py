@@ -59,7 +59,7 @@ def test_scale_of_voltages_is_positive_where_either_sign_fits():
     log = recorded(ROLL)
     found = diagnose(as_log(log | {"u": log["u"] / 73}), [ROLL.circle()])
     (warning,) = found.warnings
-    assert warning.candidates == ("current_scale", "voltage_scale")
+    assert set(warning.candidates) == {"current_scale", "voltage_scale", "radius"}
     assert "wrong sign" not in warning.message
     assert "the voltages are 73" in warning.message
 
