@@ -191,7 +191,7 @@ def of_phases(motor, log, u, i):
     """The warnings on a log in abc, of voltages and currents, shape `(N, 3)`."""
     names = [f"{x}_{end}" for x in "ui" for end in "abc"]
     circle = motor.circle().read_from(Frame("abc"), dict(zip(names, names, strict=True)))
-    read = Log(log["t"], clarke(u), clarke(i), {})
+    read = Log(log["t"], np.asarray(clarke(u)), np.asarray(clarke(i)), {})
     return diagnose(read, [circle]).warnings
 
 
