@@ -96,9 +96,12 @@ def _shape(t: Trial, circle: Circle) -> float:
 
 
 def _uneven(t: Trial) -> bool:
-    """Whether it mends what no level makes up for: what turns the other way, too."""
+    """Whether it mends what no level makes up for: what turns the other way, too, and what
+    a motion that is not even tells of the timing."""
     conjugate = t.tried.voltage[1] or t.tried.current[1]
-    return t.tried.kind in UNEVEN or (t.tried.angle is None and bool(conjugate))
+    if t.tried.kind in UNEVEN or t.tried.shift:
+        return True
+    return t.tried.angle is None and bool(conjugate)
 
 
 def chance(drift: float, circle: Circle) -> float:
