@@ -129,6 +129,8 @@ def _likely(right: Sequence[Trial], circle: Circle) -> list[Trial]:
     usual = [t for t in scales if _size(t) < LIKELY or is_usual(t)]
     if whole or fitted:
         scales = usual
+    if any(t.tried.kind.endswith("_unit") for t in whole):
+        scales = []
     named = [_factor(t.tried.voltage[0]) for t in whole if t.tried.kind != "sign"]
     named += [_factor(t.tried.current[0]) for t in whole if t.tried.kind != "sign"]
     return [*whole, *fitted, *(t for t in scales if not _near(_size(t), named))]
