@@ -31,8 +31,9 @@ def main() -> list[str]:
         wrong[cause][outcome] += 1
     alarms = right["alarm"] / right.total()
     print(f"right logs: {right.total()}, of which {right['alarm']} raise an alarm\n")
-    head = ("what is wrong", "logs", "named", "harmless", "silent", "another cause")
-    outcomes = ("named", "harmless", "silent", "other")
+    head = ("what is wrong", "logs", "named", "undecided", "harmless", "silent")
+    head = (*head, "another cause")
+    outcomes = ("named", "undecided", "harmless", "silent", "other")
     rows = [
         (cause, str(c.total()), *(str(c[k]) for k in outcomes))
         for cause, c in wrong.items()
@@ -88,8 +89,12 @@ def _wrong(logs: Any) -> Iterator[tuple[str, str]]:
 
 def _outcome(kind: str, found: Any) -> str:
     kinds = [warning.kind for warning in found.warnings]
+    if kind in kinds:
+        return "named"
+    if any(kind in warning.candidates for warning in found.warnings):
+        return "undecided"
     if kinds:
-        return "named" if kind in kinds else "other"
+        return "other"
     # Where something explains the log, and costs the flux less than is worth a warning.
     return "harmless" if found.figures.get("flux_error", 1.0) < HARMLESS else "silent"
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from motor_logs import (
     MOTORS,
+    Motor,
     as_log,
     dropped,
     instant,
@@ -21,6 +22,7 @@ from motor_logs import (
 
 from aslo_jax.cli import main
 from aslo_jax.diagnosis import diagnose, retimed, retimed_pieces, shift_of
+from aslo_jax.diagnosis._rows import suspect_rows
 from aslo_jax.logs import Log
 
 BY_NAME = {motor.name: motor for motor in MOTORS}
@@ -133,6 +135,22 @@ def test_rows_are_those_of_the_log():
     cut = without(without(recorded(motor), slice(2600, 2607)), slice(1500, 1520))
     (lost,) = diagnose(as_log(cut), circles).warnings
     assert lost.rows == (1499, 2579)
+
+
+@pytest.mark.parametrize("h", [0.4, 1.0, 1.9])
+@pytest.mark.parametrize("rows", [1, 2])
+def test_outliers_are_none_of_lost_rows_where_a_row_is_as_long_as_the_winding(rows, h):
+    """What a current that is off takes off the flux by R is as much as what it links; `h`
+    (of the time constant of the winding) between rows."""
+    motor = Motor(
+        "arm", "pmsm", 5.1, 1.3e-3, 1.3e-3, 0.013, 6, 150.0, 0.9, h * 1.3e-3 / 5.1
+    )
+    log = noisy(run(motor, "constant", 1501), motor, 4, NOISE)
+    for k in range(rows):
+        log = spiked(log, 800 + k, 8.0 * motor.current)
+    found = suspect_rows(as_log(log), motor.circle(), motor.dt)
+    assert found.outliers.tolist() == [*range(800, 800 + rows)]
+    assert found.lost.size == found.inputs.size == 0
 
 
 def test_a_voltage_of_the_instant_is_named_and_mended():

@@ -7,6 +7,7 @@ import pytest
 from motor_logs import MOTORS, estimated, noisy, run
 
 from aslo_jax.diagnosis import diagnose
+from aslo_jax.frames import clarke
 from aslo_jax.logs import Frame, Log
 
 BY_NAME = {motor.name: motor for motor in MOTORS}
@@ -51,6 +52,7 @@ WRONG = {
     ),
     "angle_unit": lambda u, i, a, m: ((u, i, np.degrees(wrapped(a))), {}),
     "sign": lambda u, i, a, m: ((u, -i, a), {}),
+    "axes_turned": lambda u, i, a, m: ((u, 1j * i, a), {}),
 }
 
 
@@ -58,8 +60,8 @@ WRONG = {
 @pytest.mark.parametrize("profile", ["rich", "load", "constant", *slow("start", "steps")])
 @pytest.mark.parametrize("name", ["traction", *slow("drone", "salient", "stepper")])
 def test_right_logs_in_dq_pass_in_silence(name, profile, held):
-    """Also where the d axis is another one, which is noted. Of voltages held in dq at most
-    the timing is told."""
+    """But for a d axis that is another one. Of voltages held in dq at most the timing is
+    told."""
     motor = BY_NAME[name]
     t, u, i, angle = in_dq(motor, profile, held)
     right = found(motor, t, u, i, wrapped(angle))
@@ -67,13 +69,40 @@ def test_right_logs_in_dq_pass_in_silence(name, profile, held):
     assert {w.kind for w in right.warnings} <= allowed
     assert not any("d axis" in note for note in right.notes)
     turned = found(motor, t, u * 1j, i * 1j, wrapped(angle) - np.pi / 2)
-    assert {w.kind for w in turned.warnings} <= allowed
-    if turned.warnings:
+    (warning,) = turned.warnings
+    if warning.kind in allowed:
         return
-    note = turned.notes[-1]
-    assert "ahead of the d axis, by the angle `theta`" in note
-    ahead = float(note.split("magnet is ")[1].split(" deg")[0])
+    assert warning.kind == "angle_offset"
+    assert "ahead of the d axis, by the angle `theta`" in warning.message
+    ahead = float(warning.message.split("magnet is ")[1].split(" deg")[0])
     np.testing.assert_allclose(ahead, 90.0, atol=4.0)
+
+
+def test_a_small_offset_of_the_angle_is_noted():
+    motor = BY_NAME["servo"]
+    t, u, i, angle = in_dq(motor)
+    turn = np.exp(1j * np.radians(22.0))
+    turned = found(motor, t, u * turn, i * turn, wrapped(angle - np.radians(22.0)))
+    assert turned.warnings == ()
+    assert "the magnet is 22" in turned.notes[-1]
+
+
+# What is read at constant speed and current, where lengths tell little.
+STEADY = {
+    "q_sign": lambda u, i, a: (u.conj(), i, a),
+    "dq_swapped": lambda u, i, a: (1j * u.conj(), i, a),
+    "angle_sign": lambda u, i, a: (u.conj(), i.conj(), a),
+    "angle_offset": lambda u, i, a: (-1j * u, -1j * i, a + np.pi / 2),
+}
+
+
+@pytest.mark.parametrize("kind", STEADY)
+@pytest.mark.parametrize("name", ["traction", *slow("servo", "crane")])
+def test_the_d_axis_tells_components_at_constant_speed(name, kind):
+    motor = BY_NAME[name]
+    t, u, i, angle = in_dq(motor, "constant")
+    (warning,) = found(motor, t, *STEADY[kind](u, i, angle)).warnings
+    assert warning.kind == kind
 
 
 @pytest.mark.parametrize("kind", WRONG)
@@ -151,3 +180,64 @@ def test_voltages_between_lines_are_no_phase_voltages():
     ).warnings
     assert warning.kind == "line_voltages"
     assert "ua, ub and uc are the voltages between lines" in warning.message
+
+
+def phases(z):
+    """Phases a, b and c of alpha + j beta."""
+    return (z[:, None] * np.exp(-2j * np.pi / 3 * np.arange(3))).real
+
+
+def of_phases(motor, log, u, i):
+    """The warnings on a log in abc, of voltages and currents, shape `(N, 3)`."""
+    names = [f"{x}_{end}" for x in "ui" for end in "abc"]
+    circle = motor.circle().read_from(Frame("abc"), dict(zip(names, names, strict=True)))
+    read = Log(log["t"], np.asarray(clarke(u)), np.asarray(clarke(i)), {})
+    return diagnose(read, [circle]).warnings
+
+
+def times(x, column, factor):
+    x = x.copy()
+    x[:, column] *= factor
+    return x
+
+
+ORDERS = {"ab, bc and ca": (0, 1), "ca, ab and bc": (2, 0), "bc, ca and ab": (1, 2)}
+ORDERS |= {"ac, ba and cb": (0, 2), "ba, cb and ac": (1, 0), "cb, ac and ba": (2, 1)}
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_every_order_of_the_voltages_between_lines_is_named(order):
+    motor = BY_NAME["crane"]
+    log = noisy(run(motor, "rich", 2001), motor, 4, 0.005)
+    a, b = ORDERS[order]
+    u = phases(log["u"])
+    between = u - np.roll(u, -(b - a), axis=1)
+    between = np.roll(between, -a, axis=1)
+    (warning,) = of_phases(motor, log, between, phases(log["i"]))
+    assert warning.kind == "line_voltages"
+    assert f"between lines, {order}," in warning.message
+    # The remedy gives the phases back.
+    remedy = warning.message.split("convert them: ")[1]
+    values = dict(zip(order.replace(" and", ",").split(", "), between.T, strict=True))
+    for phase, column in (("a", 0), ("b", 1)):
+        formula = remedy.split(f"{phase} = ")[1].split(", b =")[0]
+        formula = formula.replace("2 ", "2*")
+        mended = eval(formula, {}, values)
+        np.testing.assert_allclose(mended, u[:, column], atol=1e-9 * np.abs(u).max())
+
+
+@pytest.mark.parametrize("signal", ["voltage", "current"])
+@pytest.mark.parametrize("phase", range(3))
+@pytest.mark.parametrize("kind", ["phase_missing", "phase_sign"])
+def test_one_phase_is_named(kind, phase, signal):
+    motor = BY_NAME["crane"]
+    log = noisy(run(motor, "rich", 2001), motor, 4, 0.005)
+    u, i = phases(log["u"]), phases(log["i"])
+    factor = 0.0 if kind == "phase_missing" else -1.0
+    if signal == "voltage":
+        u = times(u, phase, factor)
+    else:
+        i = times(i, phase, factor)
+    (warning,) = of_phases(motor, log, u, i)
+    assert warning.kind == kind
+    assert f"phase {'abc'[phase]} of the {signal}s" in warning.message

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..diagnosis import (
+    FRAMES,
     Diagnosing,
     Diagnosis,
     Motion,
@@ -177,8 +178,11 @@ def tabulated(
             if any(finding.kind == "coarse_time" for finding in stamps.warnings):
                 verdict = _of_even_rows(verdict)
             verdict = stamps + verdict
-            for part in (*motions.values(), *truths.values()):
-                verdict = verdict + part.diagnosis()
+            parts = [part.diagnosis() for part in motions.values()]
+            if not any(finding.kind in FRAMES for finding in verdict.warnings):
+                # What is wrong with the angle of the frame, any truth goes wrong with.
+                parts += [part.diagnosis() for part in truths.values()]
+            verdict = sum(parts, verdict)
             return Done(summary, trace, verdict, names, estimator.observed.slow)
 
 

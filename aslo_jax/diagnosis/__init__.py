@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from ._diagnose import Diagnosing as Diagnosing, diagnose as diagnose
     from ._motion import Motion as Motion
     from ._repair import marked as marked, repaired as repaired, touched as touched
+    from ._rotations import FRAMES as FRAMES
     from ._rows import Rows as Rows
     from ._stamps import of_stamps as of_stamps
     from ._timing import (
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from ._value import Diagnosis as Diagnosis, Finding as Finding
 
 __all__ = [
+    "FRAMES",
     "Circle",
     "Diagnosing",
     "Diagnosis",
@@ -46,6 +48,7 @@ _NAMES = {
     "_diagnose": ("Diagnosing", "diagnose"),
     "_motion": ("Motion",),
     "_repair": ("marked", "repaired", "touched"),
+    "_rotations": ("FRAMES",),
     "_rows": ("Rows",),
     "_stamps": ("of_stamps",),
     "_timing": ("retimed", "retimed_pieces", "shift_of"),

@@ -3,14 +3,14 @@
 import numpy as np
 
 from ._circle import Circle
-from ._hypotheses import Hypothesis, Map, mapped, real_linear, scaled
+from ._hypotheses import Hypothesis, mapped, real_linear, scaled
+from ._phases import PHASES, of_phases
 
 INVARIANT = 1.5**0.5
 CLARKE = real_linear(lambda a, b: a + 1j * (a + 2.0 * b) / np.sqrt(3.0))
-# Line-to-line voltages ab and bc, taken for alpha and beta, or with ca for the phases.
+# Line-to-line voltages ab and bc, taken for alpha and beta.
 LINES = real_linear(lambda ab, bc: (2.0 * ab + bc) / 3.0 + 1j * bc / np.sqrt(3.0))
-LINES_OF_PHASES: Map = (np.exp(-1j * np.pi / 6.0) / np.sqrt(3.0), 0.0)
-PHASES = "check which phase is which, and map the columns with --column"
+ANGLES = "check with which angle each of them was turned into d and q"
 
 
 def axes(circle: Circle) -> list[Hypothesis]:
@@ -25,7 +25,9 @@ def axes(circle: Circle) -> list[Hypothesis]:
         )
     ]
     if circle.frame == "abc":
-        return [*found, *_phases(), *_line_to_line()]
+        return [*found, *of_phases(), *_line_to_line()]
+    if circle.frame == "dq":
+        found += [*_turned_by(90, ANGLES), *_turned_by(-90, ANGLES)]
     if circle.frame == "alpha-beta":
         found += _stationary()
     if circle.phases == 3:
@@ -36,7 +38,6 @@ def axes(circle: Circle) -> list[Hypothesis]:
 
 
 def _stationary() -> list[Hypothesis]:
-    turned = "the currents are turned by {} degrees against the voltages"
     against = "of the currents is flipped against that of the voltages"
     return [
         Hypothesis(
@@ -60,9 +61,15 @@ def _stationary() -> list[Hypothesis]:
             current=(0.0, 1j),
             plain=3,
         ),
-        Hypothesis("axes_turned", turned.format("90"), PHASES, current=(-1j, 0.0)),
-        Hypothesis("axes_turned", turned.format("-90"), PHASES, current=(1j, 0.0)),
+        *_turned_by(90, PHASES),
+        *_turned_by(-90, PHASES),
     ]
+
+
+def _turned_by(degrees: int, remedy: str) -> list[Hypothesis]:
+    cause = f"the currents are turned by {degrees} degrees against the voltages"
+    turn = np.exp(-1j * np.radians(degrees))
+    return [Hypothesis("axes_turned", cause, remedy, current=(turn, 0.0))]
 
 
 def _taken_for_alpha_beta() -> list[Hypothesis]:
@@ -137,12 +144,7 @@ def _turned() -> list[Hypothesis]:
     for degrees in (60, 120, -60, -120):
         turn = np.exp(-1j * np.radians(degrees))
         found += [
-            Hypothesis(
-                "axes_turned",
-                f"the currents are turned by {degrees} degrees against the voltages",
-                PHASES,
-                current=(turn, 0.0),
-            ),
+            *_turned_by(degrees, PHASES),
             Hypothesis(
                 "phases_swapped",
                 "two phases of the currents, or of the voltages, are swapped"
@@ -151,47 +153,6 @@ def _turned() -> list[Hypothesis]:
                 current=(0.0, turn),
             ),
         ]
-    return found
-
-
-def _phases() -> list[Hypothesis]:
-    found = [
-        Hypothesis(
-            "beta_flipped",
-            "phases b and c of the currents are swapped against those of the voltages",
-            PHASES,
-            current=(0.0, 1.0),
-            plain=4,
-        ),
-        Hypothesis(
-            "line_voltages",
-            "{u} are the voltages between lines, ab, bc and ca, not those of the phases",
-            "convert them: a = (ab - ca)/3, b = (bc - ab)/3",
-            voltage=LINES_OF_PHASES,
-            plain=3,
-        ),
-    ]
-    for which, degrees in (("a and b", 120), ("a and c", -120)):
-        found.append(
-            Hypothesis(
-                "phases_swapped",
-                f"phases {which} of the currents are swapped against those of the voltages",
-                PHASES,
-                current=(0.0, np.exp(1j * np.radians(degrees))),
-                plain=3,
-            )
-        )
-    for degrees in (120, -120):
-        found.append(
-            Hypothesis(
-                "axes_turned",
-                f"the phases of the currents are on by one ({degrees} degrees) against "
-                "those of the voltages",
-                PHASES,
-                current=(np.exp(-1j * np.radians(degrees)), 0.0),
-                plain=3,
-            )
-        )
     return found
 
 

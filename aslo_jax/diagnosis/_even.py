@@ -10,6 +10,7 @@ from . import _trial as trial
 from ._causes import causes
 from ._circle import Circle
 from ._leaps import by_leaps
+from ._level import chance
 from ._sample import Chunk
 from ._trial import Trial
 from ._windows import Windows
@@ -67,21 +68,26 @@ def timing(
                 return Timing(t, leaps[0.0] / max(leaps[best], 1e-300))
     if leaps and all(x > ALIKE * leaps[0.0] for s, x in leaps.items() if s):
         return Timing()
+    if leaps:  # what they speak against is none of the timings
+        least = ALIKE * min(leaps.values())
+        tried = [t for t in tried if leaps.get(t.tried.shift, math.inf) <= least]
     late = _instead_of_magnet(tried, nominal, circle)
-    if late is not None:
+    if late is not None and nominal.residual < chance(windows.drift, circle):
         (resistance,) = trial.of_each(
             windows, circle, [h for h in known if h.kind == "resistance"], windows
         )
         factor = 1.0 + resistance.values[0] / circle.resistance
-        possible = (resistance,) if factor > 0 and _fits(resistance, circle) else ()
+        fits = factor > 0 and _off(resistance, circle) < ODD / 2.0
+        possible = (resistance,) if fits else ()
         if not possible or abs(factor - 1.0) > LIKELY:
             return Timing(alike=(late, *possible))
     turn = windows.rate * windows.interval
     if turn < TURN or not any(abs(t.tried.shift) == 1.0 for t in tried):
         return Timing()
     note = (
-        f"{circle.quantity}: the motion is too even to tell the timing of the voltages; a "
-        f"row late or early turns the estimate by {np.degrees(turn):.2g} degrees"
+        f"{circle.quantity}: speed and current are too even to tell the timing of the "
+        f"voltages; a row late or early would turn the estimate by {np.degrees(turn):.2g} "
+        "degrees. A step of the load or of the speed in the same log tells it"
     )
     return Timing(notes=(note,))
 
@@ -89,12 +95,12 @@ def timing(
 def _instead_of_magnet(
     tried: Sequence[Trial], nominal: Trial, circle: Circle
 ) -> Trial | None:
-    """The timing under which the magnet flux is the one that is given, which it is not
-    under the timing of the log."""
+    """The row, late or early, under which the magnet flux is the one that is given, which
+    it is not under the timing of the log. Two rows would fit by chance too often."""
     if circle.radius is None or _off(nominal, circle) < ODD:
         return None
-    found = [t for t in tried if _fits(t, circle) and t.flux_error > HARM]
-    return min(found, key=lambda t: abs(t.tried.shift), default=None)
+    late = [t for t in tried if abs(t.tried.shift) == 1.0 and t.flux_error > HARM]
+    return next((t for t in late if _fits(t, circle)), None)
 
 
 def _fits(t: Trial, circle: Circle) -> bool:

@@ -33,6 +33,11 @@ def rotations(circle: Circle, chunks: Sequence[Chunk]) -> list[Hypothesis]:
     return [*_components(), *_angles(circle, turn)]
 
 
+def directions() -> list[Hypothesis]:
+    """Those of them that put a magnet along the d axis which is not there."""
+    return [REVERSED, *_components()]
+
+
 def tried(
     chunks: Sequence[Chunk], circle: Circle, hypotheses: Sequence[Hypothesis]
 ) -> list[Trial]:

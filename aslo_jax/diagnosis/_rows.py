@@ -14,6 +14,7 @@ from ._turns import REACH, apart, losses
 FAR = 9.0  # times the median distance from what the neighbours say
 LEAST = 3e-3  # of the radius: what is smaller does little harm
 LONGEST = 12  # rows of an outlier
+SHORT = 0.6  # of the step of an outlier: one back that is smaller is not seen by itself
 BEHIND = (-3, -2, -1)
 NEIGHBOURS = (*BEHIND, 1, 2, 3)
 
@@ -111,18 +112,24 @@ def suspect_rows(log: Log, circle: Circle, interval: float) -> Rows:
     for k, place in enumerate(far):
         if place <= taken:
             continue
-        partner = _partner(error, far[k + 1 : k + 4], place)
-        if partner is not None and _jumps(y, place, partner, error[place] / -L):
+        # An output that is off by s moves the flux by -(L + h R/2) s, and on by L - h R/2.
+        drop = 0.5 * R * h[place]
+        back = (drop - L) / (L + drop)
+        after = far[k + 1 : k + 4]
+        if abs(back) < SHORT and place + 1 < size.size:
+            after = [place + 1, *after]
+        partner = _partner(error, after, place, back)
+        if partner is not None and _jumps(y, place, partner, -error[place] / (L + drop)):
             outliers += range(place + 1, partner + 1)
             taken = partner
         elif _stands_out(u, turning, place, error[place] / h[place]):
-            near = leap[max(place - 2, 0) : place + 3]
-            if L * np.abs(near).max() < 0.3 * size[place]:
+            if not _answers(L * leap[max(place - 2, 0) : place + 3], size[place], quiet):
                 inputs.append(place)
         elif not 3 <= place < step.size - 3 or pulses[place - 2 : place + 3].any():
             continue
         elif not _late(moves, step, pace, place, behind[place]) and any(
-            _unexplained(x[place], L * leap[place]) for x in (error, behind)
+            _unexplained(x[place], L * leap[place], circle.saliency / L)
+            for x in (error, behind)
         ):
             lost.append(place)
     as_rows = lambda found: np.array(sorted(set(found)), int)
@@ -179,12 +186,12 @@ def _late(moves: Any, step: Any, turn: complex, place: int, behind: Any) -> bool
     return bool(max(abs(went_on), left.min()) < 0.3 * abs(behind))
 
 
-def _partner(error, after, place) -> int | None:
-    """The step that takes an error back, if there is one soon."""
+def _partner(error, after, place, back) -> int | None:
+    """The step that takes an error back, if there is one soon, by `back` times it."""
     for other in after:
         if other - place > LONGEST:
             return None
-        if abs(error[other] + error[place]) < 0.35 * abs(error[place]):
+        if abs(error[other] - back * error[place]) < 0.35 * abs(error[place]):
             return other
     return None
 
@@ -207,6 +214,14 @@ def _stands_out(u: Any, turn: complex, place: int, leap: Any) -> bool:
     return bool(abs(own - leap) < 0.3 * abs(leap))
 
 
+def _answers(leap: Any, size: Any, quiet: Any) -> bool:
+    """Whether a current answers to a voltage of a row, though by less than it should, as
+    one of another scale does; `leap`: of the rows around, times the inductance (V s)."""
+    own = np.abs(leap - np.median(leap.real) - 1j * np.median(leap.imag)).max()
+    largest = np.abs(leap).max()
+    return bool(largest >= 0.3 * size or own >= max(0.08 * size, 4.0 * quiet))
+
+
 def _pulses(u: Complex[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
     """Where a voltage leaves its neighbours for one row. That moves a current by a step,
     which a wrong scale or a late voltage leave unexplained; where rows are lost there is
@@ -220,8 +235,9 @@ def _pulses(u: Complex[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
     return np.concatenate([[False], size > limit, [False]])
 
 
-def _unexplained(error: Any, leap: Any) -> bool:
+def _unexplained(error: Any, leap: Any, saliency: float) -> bool:
     """Whether most of the step of the current is what no voltage explains: all but one of
-    `n + 1` intervals, where n rows are lost."""
+    `n + 1` intervals, where n rows are lost. A step of i_d leaves as much as the `saliency`
+    (relative) of the machine."""
     share = -(error * np.conj(leap)).real / max(abs(leap) ** 2, 1e-300)
-    return bool(0.4 < share < 1.6)
+    return bool(0.4 + 0.5 * abs(saliency) < share < 1.6)

@@ -5,13 +5,14 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from . import _fitting as fitting
 from ._circle import Circle
 from ._hypotheses import Hypothesis, apply
 from ._windows import Windows
 
+CHANCE = 3e-3  # a relative residual: what noise makes of a cost at most
 ARC = 1.5  # rad that the flux must turn in a window
 
 
@@ -21,6 +22,8 @@ class Trial:
 
     - `cost`, `residual`, `noise`, relative to the radius; `radius` (Wb): the one that fits;
     - `values`: of the free parameters of the hypothesis;
+    - `load`: what the current takes off the flux and links, and `drive`: what the voltage
+      adds to it, relative, rms;
     - `lead`: of a log in dq, `exp(j a)` of the angle a by which the magnet is ahead of the
       d axis, in the mean, so that its length is 1 where that is constant;
     - `flux_error`: of an estimate that knows nothing of it, relative, rms.
@@ -34,6 +37,8 @@ class Trial:
     values: tuple[float, ...]
     flux_error: float
     lead: complex = 0j
+    load: float = 0.0
+    drive: float = 0.0
 
     @property
     def tried(self) -> Hypothesis:
@@ -51,9 +56,11 @@ def trials(
     found = [nominal]
     if nominal.cost < clear:
         return found
-    key = lambda h: len(h.free)
-    for _, group in itertools.groupby(sorted(hypotheses, key=key), key):
-        more, _ = _tried(windows, circle, list(group), flux)
+    # With another radius, the one that is given is no measurement.
+    free = dataclasses.replace(circle, radius=None)
+    key = lambda h: (h.kind == "radius", len(h.free))
+    for (other, _), group in itertools.groupby(sorted(hypotheses, key=key), key):
+        more, _ = _tried(windows, free if other else circle, list(group), flux)
         found += more
     return found
 
@@ -76,7 +83,7 @@ def arcs(windows: Windows, circle: Circle) -> Float[np.ndarray, " W"]:
     """By how much the flux less what the current links turns in each window (rad), if the
     log is as it should be."""
     same = Hypothesis("", "")
-    g, y, basis, _, _ = _changed(windows, circle, same)
+    g, y, basis, *_ = _changed(windows, circle, same)
     found = fitting.fit(
         g[None],
         basis[None],
@@ -89,14 +96,19 @@ def arcs(windows: Windows, circle: Circle) -> Float[np.ndarray, " W"]:
     # Windows of noise alone turn as well.
     jerk = np.mean(np.abs(g[:, 2:] - 2.0 * g[:, 1:-1] + g[:, :-2]) ** 2, axis=1) / 6.0
     moves = np.var(g, axis=1) > 25.0 * jerk
-    turned = np.unwrap(np.angle(found.centre[0][:, None] + g), axis=1)
-    return np.ptp(turned, axis=1) * moves
+    return _arcs(found.centre[0], g) * moves
+
+
+def _arcs(
+    centre: Complex[np.ndarray, " W"], g: Complex[np.ndarray, "W n"]
+) -> Float[np.ndarray, " W"]:
+    return np.ptp(np.unwrap(np.angle(centre[:, None] + g), axis=1), axis=1)
 
 
 def _tried(windows, circle, hypotheses, nominal):
     same = Hypothesis("", "")
     each = [same if h is None else h for h in hypotheses]
-    g, y, basis, start, flux, flux_basis, owner = [], [], [], [], [], [], []
+    g, y, basis, start, flux, flux_basis, load, drive, owner = ([] for _ in range(9))
     for k, h in enumerate(each):
         signals = _changed(windows, circle, h)
         for first in h.starts[: len(h.starts) if h.free else 1]:
@@ -107,7 +119,7 @@ def _tried(windows, circle, hypotheses, nominal):
                 values[0] = first * unit.get(h.free[0], 1.0)
             owner.append(k)
             start.append(values)
-            lists = (g, y, basis, flux, flux_basis)
+            lists = (g, y, basis, flux, flux_basis, load, drive)
             for those, one in zip(lists, signals, strict=True):
                 those.append(one)
     stack = np.stack
@@ -125,11 +137,14 @@ def _tried(windows, circle, hypotheses, nominal):
     mine = None
     for k, h in enumerate(hypotheses):
         rows = np.flatnonzero(owner == k)
-        # At constant speed a scale has two values that fit, one of them negative.
-        alike = found.cost[rows] <= 2.0 * found.cost[rows].min() + 1e-4
+        # At constant speed a scale has two values that fit; one of them may be negative.
+        chance = min(3.0 * windows.drift / max(found.radius[rows].max(), 1e-300), CHANCE)
+        alike = found.cost[rows] <= 2.0 * found.cost[rows].min() + 1e-4 + chance
         change = np.abs(found.values[rows]).sum(axis=1)
         if h and h.free and h.free[0] in ("voltage", "current"):
-            change = np.where(found.values[rows, 0] < -1.0, change + 1e12, change)
+            factor = 1.0 + found.values[rows, 0]
+            change = np.abs(np.log(np.maximum(np.abs(factor), 1e-12)))
+            change = np.where(factor < 0.0, change + 1e12, change)
         best = rows[np.argmin(np.where(alike, change, np.inf))] if h and h.free else rows[0]
         phi = (
             found.centre[best][:, None]
@@ -144,25 +159,35 @@ def _tried(windows, circle, hypotheses, nominal):
             lead = complex(np.mean(lead / np.maximum(np.abs(lead), 1e-300)))
         scale = max(float(np.sqrt(np.mean(np.abs(phi) ** 2))), 1e-300)
         error = float(np.sqrt(np.mean(np.abs(phi - mine) ** 2)) / scale)
-        # With another radius, the one that fits costs nothing.
-        price = found.residual if h is not None and h.kind == "radius" else found.cost
+        # Signals that hardly move are on an arc of any circle.
+        magnet = g[best] + np.einsum("p,pwn->wn", found.values[best], basis[best])
+        still = h is not None and np.median(_arcs(found.centre[best], magnet)) < ARC
+        taken = load[best] - load[best].mean(axis=1, keepdims=True)
+        added = drive[best] - drive[best].mean(axis=1, keepdims=True)
+        if h is not None and h.free == ("current",):
+            taken = (1.0 + found.values[best, 0]) * taken
+        if h is not None and h.free == ("voltage",):
+            added = (1.0 + found.values[best, 0]) * added
         trials.append(
             Trial(
                 h,
-                float(price[best]),
+                float("inf" if still else found.cost[best]),
                 float(found.residual[best]),
                 float(found.noise[best]),
                 float(found.radius[best]),
                 tuple(map(float, found.values[best])),
                 error,
                 lead,
+                float(np.sqrt(np.mean(np.abs(taken) ** 2))) / scale,
+                float(np.sqrt(np.mean(np.abs(added) ** 2))) / scale,
             )
         )
     return trials, mine
 
 
 def _changed(windows: Windows, circle: Circle, h: Hypothesis):
-    """g and y of a hypothesis, what its free parameters add to g, and both for the flux."""
+    """g and y of a hypothesis, what its free parameters add to g, both for the flux, and
+    what the current takes off it and links, and what the voltage adds to it."""
     R, L = circle.resistance * h.resistance, circle.inductance * h.inductance
     voltage = windows.shifted[h.shift] if h.shift else windows.voltage
     voltage = apply(h.voltage, voltage)
@@ -181,4 +206,4 @@ def _changed(windows: Windows, circle: Circle, h: Hypothesis):
     basis = np.stack([effects[f][0] for f in h.free]) if h.free else none
     on_flux = np.stack([effects[f][1] for f in h.free]) if h.free else none
     flux = voltage - R * current
-    return flux - L * y, y, basis, flux, on_flux
+    return flux - L * y, y, basis, flux, on_flux, R * current + L * y, voltage

@@ -10,12 +10,15 @@ class Finding:
 
     - `kind`: a stable key, for programs;
     - `message`: likely cause and what to try, in one or two lines;
-    - `rows`: of the log that it is about, the first being 0; none where it is about all.
+    - `rows`: of the log that it is about, the first being 0; none where it is about all;
+    - `candidates`: where the kind is `undecided`, the kinds of the causes that explain the
+      log alike, the likelier first.
     """
 
     kind: str
     message: str
     rows: tuple[int, ...] = ()
+    candidates: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 
 from ._circle import Circle
+from ._rows import pace_of
 from ._sample import Chunk
 from ._timing import moved
 
@@ -29,7 +30,9 @@ class Windows:
     - `y`: the current (A); `radius`: what the radius follows, 1 for a magnet;
     - `dead`: the integral of the direction in which dead time acts (s);
     - `axis`: the direction of the d axis of a log in dq, by its angle;
-    - `rate`: how fast the flux turns (rad/s); `interval` (s).
+    - `rate`: how fast the flux turns (rad/s); `interval` (s);
+    - `drift`: by how much noise of voltage and current makes the integral of u - R i over a
+      window leave a circle, rms, if all that is rough is noise (V s).
     """
 
     t: Float[np.ndarray, "W n"]
@@ -42,6 +45,7 @@ class Windows:
     rate: float
     interval: float
     axis: Complex[np.ndarray, "W n"] | None = None
+    drift: float = 0.0
 
     def only(self, chosen: Bool[np.ndarray, " W"]) -> "Windows":
         """Some of the windows."""
@@ -99,6 +103,7 @@ def windows_of(
     sums = {
         k: _sums(chunks[k], circle, shifts, dead) for k in {places[c][0] for c in chosen}
     }
+    noise = max(_noise(chunks[k], circle) for k in sums)
     parts = []
     for c in chosen:
         k, first = places[c]
@@ -116,7 +121,21 @@ def windows_of(
         rate,
         interval,
         stacked.get("axis"),
+        interval * noise * (length / 12.0) ** 0.5,
     )
+
+
+def _noise(chunk: Chunk, circle: Circle) -> float:
+    """Of u - R i (V), rms, without the few largest of its leaps."""
+    u, y, _ = circle.signals(chunk.u, chunk.y)
+    return float(np.hypot(_rough(u), circle.resistance * _rough(y)))
+
+
+def _rough(x: Complex[np.ndarray, " N"]) -> float:
+    """The noise of a signal that turns."""
+    turn = pace_of(x)
+    rough = x[2:] * turn.conjugate() - 2.0 * x[1:-1] + x[:-2] * turn
+    return float(np.median(np.abs(rough) ** 2) / (6.0 * np.log(2.0))) ** 0.5
 
 
 def _sums(

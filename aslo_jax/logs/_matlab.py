@@ -120,7 +120,7 @@ def _series(
     arrays: dict[str, np.ndarray],
 ) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Structs with instants and values as one column each, and the clocks of columns; of
-    equal instants the first are kept, and are `t` if there are no others."""
+    equal instants the first are kept."""
     found, clocks = dict(arrays), dict[str, str]()
     instants: dict[str, str] = {}  # the first of equal ones, by name
     for name, x in arrays.items():
@@ -141,11 +141,6 @@ def _series(
         clocks[name] = first
         if first != name and values:
             del found[name]
-    only = set(instants.values())
-    if len(only) == 1 and "t" not in arrays:
-        (first,) = only
-        found["t"] = found.pop(first)
-        clocks = dict.fromkeys([*clocks, "t"], "t")
     return found, clocks
 
 
