@@ -173,6 +173,7 @@ def as_json(
             "high": _number(found.interval[name][1]),
             "before": _number(found.before[name]),
             "determined": found.determined(name),
+            "allowed": list(found.allowed[name]),
             "written": found.determined(name) and name.partition("[")[0] in values,
         }
         for name in found.estimate
@@ -206,6 +207,7 @@ def nothing_as_json(
             parameters[label] = nothing | {
                 "before": float(value),
                 "determined": False,
+                "allowed": [],
                 "written": False,
             }
     content = {
