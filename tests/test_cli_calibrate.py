@@ -234,4 +234,4 @@ def test_the_errors_that_an_interval_allows_for_are_in_the_table_and_for_program
 
 
 def test_the_words_for_errors_of_a_record_are_those_of_files():
-    assert {*get_args(RecordError)} | {"output_offset"} == set(FITS)
+    assert {*get_args(RecordError)} | {"output_offset"} == {*FITS, "encoder_offset"}

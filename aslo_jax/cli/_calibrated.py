@@ -16,6 +16,7 @@ from ..machines import AbstractDescription, MachineError
 from ..machines._lifted import is_lifted
 from ..tune import Calibration
 from ..tune._calibration.adequacy import named
+from ..tune._calibration.imperfections import FITS as FITTED
 from ..tune._calibration.result import DOUBTFUL
 from ..tune._calibration.whiten import Signals
 from . import _table as table
@@ -30,6 +31,8 @@ EXPLAINED = {
     "input_offset": ("offset",),
     "gain": ("voltage_scale",),
     "dead_time": ("dead_time",),
+    "threshold": ("dead_time",),
+    "encoder_offset": ("magnet_axis",),
     "delay": ("voltage_timing", "voltage_instant"),
 }
 # What a verdict says of a log whose parameters or known errors are wrong: the calibration
@@ -73,7 +76,8 @@ def warnings(
         if k and finding.share < 0.5 * found.findings[0].share:
             continue
         trust = "the parameters cannot be trusted without it" if found.withdrawn else ""
-        message = f"the log shows {finding}{'; ' if trust else ''}{trust}: --fit {name}"
+        remedy = f": --fit {name}" if finding.field in FITTED else ""
+        message = f"the log shows {finding}{'; ' if trust else ''}{trust}{remedy}"
         told.append({"kind": name, "message": message, "rows": []})
     if found.withdrawn and not found.findings:
         message = f"the log shows {found.withdrawn}; the parameters cannot be trusted"
@@ -133,7 +137,7 @@ def units_of(machine: AbstractDescription, found: Calibration) -> dict[str, str]
     fields, of = type(machine.machine).model_fields, machine.signals
     outputs, inputs = (measured_unit((*names, "")[0]) for names in (of.outputs, of.inputs))
     known = {"output_offset": outputs, "input_offset": inputs, "dead_time": inputs}
-    known |= {"delay": "samples", "gain": ""}
+    known |= {"threshold": outputs, "delay": "samples", "gain": "", "encoder_offset": "rad"}
     units = {}
     for name in found.estimate:
         key = name.partition("[")[0]

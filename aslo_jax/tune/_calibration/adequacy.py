@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...plants import AbstractMechanicalSystem
+from .imperfections import saturates
 from .information import normalised, spread
 from .search import Search
 
@@ -16,6 +17,7 @@ WORDS = {
     "output_offset": ("an offset of the outputs", "(their units)"),
     "dead_time": ("a dead time", "V"),
     "delay": ("a delay of the inputs", "samples"),
+    "saturation": ("a saturation", "of the inductance, where the current has its rms"),
 }
 SURE = 12.0  # of a test statistic per degree of freedom: noise reaches it in 2 of 1000
 
@@ -60,9 +62,11 @@ def tested(
     if isinstance(model, AbstractMechanicalSystem):
         fields = ["delay"]
     elif u.shape[1] == y.shape[1]:
-        fields = list(CANDIDATES)
+        fields: list[str] = list(CANDIDATES)
     else:
         fields = ["output_offset", "delay"]
+    if u.shape[1] == y.shape[1] == 2 and saturates(model):
+        fields.append("saturation")
     if "input_offset" in fitted and "output_offset" in fields:
         fields.remove("output_offset")  # an offset of either explains one of the other
     return tuple(field for field in fields if field not in fitted)

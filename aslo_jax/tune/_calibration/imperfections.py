@@ -1,4 +1,5 @@
-"""What a supply and sensors make of a log: offsets, a gain, a dead time, a delay."""
+"""What a supply and sensors make of a log: offsets, a gain, a dead time, a delay; and what
+iron does, which saturates."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -12,6 +13,7 @@ from jaxtyping import Array, Float
 from ..._checks import real
 from ...plants import MagneticBearing, Stepper
 from .parameters import Parameters
+from .predict import relations_of
 from .whiten import Signals
 
 # The phases of a star from its stationary, amplitude-invariant frame.
@@ -31,7 +33,9 @@ class Imperfections(eqx.Module):
     - `delay`: how late the inputs stand in the record (samples); a fraction is read off
       the curve through the samples (Catmull, Rom, 1974), whose slope has no jumps. Were an
       input held that turns by an angle a in a sample, this is a^2/8 of it too much at half
-      a sample, and right at whole ones.
+      a sample, and right at whole ones;
+    - `saturation`: the share of an inductance that is gone where the current is as large
+      as `current` (A); that share goes with the square of the current.
     """
 
     output_offset: Float[Array, " p"] = eqx.field(converter=real)
@@ -41,18 +45,28 @@ class Imperfections(eqx.Module):
     delay: Float[Array, ""] = eqx.field(converter=real)
     threshold: Float[Array, ""] = eqx.field(converter=real)
     star: bool = eqx.field(static=True)
+    saturation: Float[Array, ""] = eqx.field(converter=real, default=0.0)
+    current: Float[Array, ""] = eqx.field(converter=real, default=1.0)
 
-    def __call__(self, signals: Signals) -> Signals:
+    def __call__(self, signals: Signals, resistance: Any = 0.0) -> Signals:
         h, u, y = signals
         y = y - self.output_offset
         u = self.gain * _between(u, self.delay)[0] + self.input_offset
         if u.shape[1] == y.shape[1]:
             u = u - self.dead_time * self._direction(y)
+            # An inductance sees less of the current; the voltage over the resistance stays.
+            lost = self.saturation * self._cubed(y)
+            u, y = u - resistance * lost, y - lost
         return Signals(h, u, y)
 
-    def slopes(self, signals: Signals) -> Iterator[tuple[str, int, Any, Any]]:
+    def _cubed(self, y: Any) -> Any:
+        return y * (y**2).sum(axis=1, keepdims=True) / self.current**2
+
+    def slopes(
+        self, signals: Signals, resistance: float
+    ) -> Iterator[tuple[str, int, Any, Any]]:
         """Of a log, by NumPy: every field, each of its entries, and the slopes of the u and
-        the y that the machine has seen in it."""
+        the y that the machine has seen in it. Saturation is tested only, from zero on."""
         this: Any = jax.tree.map(np.asarray, self)
         u, y = (np.asarray(x, float) for x in signals[1:])
         delayed, later = _between(u, this.delay)
@@ -70,6 +84,9 @@ class Imperfections(eqx.Module):
         yield "dead_time", 0, -this._direction(seen) if dead else none, still
         turned = -this.dead_time * this._turned(seen, still, 1.0) if dead else none
         yield "threshold", 0, turned, still
+        if dead:
+            lost = this._cubed(seen)
+            yield "saturation", 0, -resistance * lost, -lost
 
     def _direction(self, y: Any) -> Any:
         """The direction of the currents of all phases, in the frame of the inputs."""
@@ -119,6 +136,7 @@ FITS = {
     "input_offset": "input_offset",
     "gain": "gain",
     "dead_time": "dead_time",
+    "threshold": "threshold",
     "delay": "delay",
 }
 
@@ -129,6 +147,26 @@ class Recorded(eqx.Module):
     model: Any
     imperfections: Imperfections
 
+    def __call__(self, signals: Signals) -> Signals:
+        """The signals that the machine has seen."""
+        return self.imperfections(signals, dropping(self.model))
+
+
+def saturates(model: Any) -> bool:
+    """Whether a model has one inductance, and one resistance in series with it."""
+    relations: Any = relations_of(model) or ()
+    scalar = lambda x: x is not None and np.ndim(x) == 0
+    names = ("inductance", "resistance")
+    return len(relations) == 1 and all(
+        scalar(getattr(relations[0], name, None)) for name in names
+    )
+
+
+def dropping(model: Any) -> Any:
+    """The resistance (ohm) over which a current drops a voltage that iron does not see."""
+    relations: Any = relations_of(model)
+    return relations[0].resistance if saturates(model) else 0.0
+
 
 def perfect(model: Any, signals: Signals) -> Imperfections:
     """No error, for a log of `model`; the threshold of a dead time is a fiftieth of the
@@ -137,7 +175,14 @@ def perfect(model: Any, signals: Signals) -> Imperfections:
     size = np.sqrt(np.mean(np.asarray(signals.y) ** 2))
     star = m == p and m % 2 == 0 and not isinstance(model, Stepper | MagneticBearing)
     return Imperfections(
-        jnp.zeros(p), jnp.zeros(m), 1.0, 0.0, 0.0, max(0.02 * float(size), 1e-12), star
+        jnp.zeros(p),
+        jnp.zeros(m),
+        1.0,
+        0.0,
+        0.0,
+        max(0.02 * float(size), 1e-12),
+        star,
+        current=max(2**0.5 * float(size), 1e-12),
     )
 
 
@@ -157,7 +202,8 @@ def seen(
     rate = parameters.rates(np.asarray(q, float))
     du, dy = (np.zeros((len(rate), *x.shape)) for x in whole[1:])
     if any(getattr(numbered, name) in begins for name in vars(numbered)):
-        for name, j, of_u, of_y in recorded.imperfections.slopes(whole):
+        R = float(dropping(recorded.model))
+        for name, j, of_u, of_y in recorded.imperfections.slopes(whole, R):
             begin = begins.get(getattr(numbered, name))
             if begin is not None:
                 k = begin + j
@@ -168,13 +214,20 @@ def seen(
 def sizes_of(signals: Signals) -> dict[str, float]:
     """What each of the errors is counted in: the rms of a signal, or three samples."""
     u, y = (float(np.sqrt(np.mean(np.asarray(x) ** 2))) for x in (signals.u, signals.y))
-    return {"output_offset": y, "input_offset": u, "dead_time": u, "delay": 3.0}
+    return {
+        "output_offset": y,
+        "input_offset": u,
+        "dead_time": u,
+        "delay": 3.0,
+        "saturation": 1.0,
+    }
 
 
 def fitted(name: str) -> str:
     """The field of [`Imperfections`][] that the name of a fit stands for."""
     if name not in FITS:
+        known = ", ".join((*FITS, "encoder_offset"))
         raise ValueError(
-            f"Argument `fit` (option --fit) must be of {', '.join(FITS)}, but got `{name}`."
+            f"Argument `fit` (option --fit) must be of {known}, but got `{name}`."
         )
     return FITS[name]

@@ -105,6 +105,26 @@ class Calibration:
         low, high = self.interval[name]
         return max(high - self.estimate[name], self.estimate[name] - low)
 
+    def beside(
+        self, name: str, middle: float, half: float, resolution: float
+    ) -> "Calibration":
+        """With one more number, that is zero in a right record, of an interval of `half`
+        width; it cannot be trusted more than the others."""
+        trusted = not self.withdrawn and self.reason == SETTLED
+        nan = float("nan")
+        ends = (middle - half, middle + half) if trusted else (nan, nan)
+        sure = trusted and half < resolution * max(abs(middle), 1.0)
+        places = middle + half * np.array([-1.0, 0.0, 1.0])
+        changed: dict[str, Any] = {
+            "before": self.before | {name: 0.0},
+            "estimate": self.estimate | {name: middle},
+            "after": self.after | {name: middle if sure else nan},
+            "interval": self.interval | {name: ends},
+            "allowed": self.allowed | {name: ()},
+            "profiles": self.profiles | {name: (places, np.array([1.0, 0.0, 1.0]))},
+        }
+        return dataclasses.replace(self, **changed)
+
     def rows(self) -> list[tuple[str, str, str, str]]:
         """A table: parameter, before, after, and its interval, with the errors of the
         record that it allows for, or why there is none."""
