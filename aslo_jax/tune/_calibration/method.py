@@ -120,10 +120,14 @@ def calibrate(
     v, known = search.last_round(v)
     profiles = search.profiles(v, known, confidence, resolution)
     told = all(profile.parabolic for profile in profiles)
-    # Where the inductance has no parabola, what it does with the current has none either.
-    fields = [field for field in tests if told or field in PLAUSIBLE]
-    scores = scored(search, fields)
+    scores = scored(search, [field for field in tests if field in PLAUSIBLE])
     seen = findings(scores)
+    if told:
+        # Where the inductance has no parabola, what it does with the current has none
+        # either. A dead time goes with the current too, and comes first.
+        more = [field for field in tests if field not in PLAUSIBLE]
+        scores += scored(search, more, [finding.field for finding in seen])
+        seen = findings(scores)
     if undecided(search.errors.size, scores) or not told:
         others = alternatives(search, v, [field for field in tests if field in PLAUSIBLE])
         seen = together(seen, others)
