@@ -32,7 +32,7 @@ EXPLAINED = {
     "gain": ("voltage_scale",),
     "dead_time": ("dead_time",),
     "threshold": ("dead_time",),
-    "encoder_offset": ("magnet_axis",),
+    "encoder_offset": (),
     "delay": ("voltage_timing", "voltage_instant"),
 }
 # What a verdict says of a log whose parameters or known errors are wrong: the calibration
