@@ -199,29 +199,6 @@ def test_the_profile_sees_a_second_valley():
     assert found.low == pytest.approx(-end, rel=0.02)
 
 
-@pytest.mark.slow
-def test_an_inductance_that_falls_with_the_current_is_named():
-    """`phi = L (1 - k |i|^2) i + magnet`, integrated by quadrature for a current that is a
-    closed form: no code of the calibration makes the record."""
-    h, rows, share, rms = 1e-4, 1500, 0.15, 5.0
-    angle = lambda t: 0.7 + 260.0 * t
-    i = lambda t: (
-        3.0 * np.sin(47 * t) + 5j * (1 + 0.4 * np.sin(29 * t))
-    ) * np.exp(1j * angle(t))  # fmt: skip
-    L = lambda x: TRUTH["inductance"] * (1 - share * np.abs(x) ** 2 / rms**2)
-    flux = lambda t: L(i(t)) * i(t) + TRUTH["magnet_flux"] * np.exp(1j * angle(t))
-    nodes, weights = np.polynomial.legendre.leggauss(6)
-    t = h * np.arange(rows)
-    mean = i(t[:, None] + 0.5 * h * (nodes + 1)) @ (0.5 * weights)
-    u = (flux(t + h) - flux(t)) / h + TRUTH["resistance"] * mean
-    noise = np.random.default_rng(5).standard_normal((2, rows))
-    y = i(t) + 0.01 * (noise[0] + 1j * noise[1])
-    pair = lambda z: np.stack([z.real, z.imag], axis=1)
-    found = calibrate(off((1.1, 0.9, 1.05)), t, pair(u), pair(y), where)
-    assert found.findings[0].field == "saturation" and "a saturation" in found.withdrawn
-    assert all(np.isnan(x) for x in found.after.values())
-
-
 def test_an_angle_ahead_of_the_magnet_is_found():
     """In closed form: the angle of the record's motor, and 0.13 rad more."""
     t, u, y = clean()

@@ -16,7 +16,6 @@ from ..machines import AbstractDescription, MachineError
 from ..machines._lifted import is_lifted
 from ..tune import Calibration
 from ..tune._calibration.adequacy import named
-from ..tune._calibration.imperfections import FITS as FITTED
 from ..tune._calibration.result import DOUBTFUL
 from ..tune._calibration.whiten import Signals
 from . import _table as table
@@ -76,8 +75,7 @@ def warnings(
         if k and finding.share < 0.5 * found.findings[0].share:
             continue
         trust = "the parameters cannot be trusted without it" if found.withdrawn else ""
-        remedy = f": --fit {name}" if finding.field in FITTED else ""
-        message = f"the log shows {finding}{'; ' if trust else ''}{trust}{remedy}"
+        message = f"the log shows {finding}{'; ' if trust else ''}{trust}: --fit {name}"
         told.append({"kind": name, "message": message, "rows": []})
     if found.withdrawn and not found.findings:
         message = f"the log shows {found.withdrawn}; the parameters cannot be trusted"

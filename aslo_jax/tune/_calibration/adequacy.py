@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ...plants import AbstractMechanicalSystem
-from .imperfections import saturates
 from .information import normalised, spread
 from .search import Search
 
@@ -17,7 +16,6 @@ WORDS = {
     "output_offset": ("an offset of the outputs", "(their units)"),
     "dead_time": ("a dead time", "V"),
     "delay": ("a delay of the inputs", "samples"),
-    "saturation": ("a saturation of the inductance", ""),
 }
 SURE = 12.0  # of a test statistic per degree of freedom: noise reaches it in 2 of 1000
 
@@ -28,8 +26,7 @@ class Finding:
 
     - `field`: of [`Imperfections`][];
     - `size`: about how large it is, in the units of the field, shape `()`, or of each
-      signal; to first order, with all else free. That of a saturation, the share of the
-      inductance that is gone at the currents' rms, may be three times too large;
+      signal; to first order, with all else free;
     - `statistic`: of the score test, or of the likelihood ratio where it was fitted, over
       its degrees of freedom: about one by chance;
     - `share`: of the sum of squares that it explains;
@@ -44,8 +41,6 @@ class Finding:
 
     def __str__(self):
         name, unit = WORDS[self.field]
-        if not unit:  # first order says that it is there, and not how large it is
-            return name
         size = ", ".join(f"{x:.2g}" for x in np.ravel(self.size))
         return f"{name} of about {size} {unit}"
 
@@ -65,11 +60,9 @@ def tested(
     if isinstance(model, AbstractMechanicalSystem):
         fields = ["delay"]
     elif u.shape[1] == y.shape[1]:
-        fields: list[str] = list(CANDIDATES)
+        fields = list(CANDIDATES)
     else:
         fields = ["output_offset", "delay"]
-    if u.shape[1] == y.shape[1] == 2 and saturates(model):
-        fields.append("saturation")
     if "input_offset" in fitted and "output_offset" in fields:
         fields.remove("output_offset")  # an offset of either explains one of the other
     return tuple(field for field in fields if field not in fitted)
@@ -97,21 +90,15 @@ def undecided(errors: int, scores: Sequence[Finding]) -> bool:
     return any(f.share * errors / f.size.size > SURE >= f.statistic for f in scores)
 
 
-def scored(
-    search: Search, fields: Sequence[str], beside: Sequence[str] = ()
-) -> tuple[Finding, ...]:
-    """The score tests of the errors of the record among the `fields`, in what those do not
-    explain that have been found already, `beside` them.
+def scored(search: Search, fields: Sequence[str]) -> tuple[Finding, ...]:
+    """The score tests of the errors of the record among the `fields`.
 
     Source: the score test, Rao, 1948, doi:10.1017/S0305004100023987."""
     problem, e, k = search.problem, search.errors, search.k
     parameters = problem.parameters
     mean = float(np.mean(e**2))
-    free, prior = search.free.copy(), np.zeros(search.free.size)
-    prior[free] = search.prior
-    free[[j for field in beside for j in places_of(search, field)]] = True
-    own, size = normalised(search.slopes[..., free].reshape(e.size, -1))
-    prior = np.diag(prior[free] * mean / size**2)
+    own, size = normalised(search.slopes[..., search.free].reshape(e.size, -1))
+    prior = np.diag(search.prior * mean / size**2)
     inverse = np.linalg.pinv(own.T @ own + prior, rcond=1e-15, hermitian=True)
     found = []
     for field in fields:

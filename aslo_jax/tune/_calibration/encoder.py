@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..._replay import replay
-from .imperfections import saturates, seen
+from .imperfections import seen
 from .information import Information, spread
 from .predict import relations_of, residual
 from .problem import Problem
@@ -30,7 +30,7 @@ def check_angle(
             f"Argument `fit` (option --fit) must not have {NAME} for a log without an "
             "angle; give it (argument `angle`, electrical; on the command line --frame dq)."
         )
-    if not saturates(model):
+    if not _one_inductance(model):
         raise ValueError(
             f"Argument `fit` (option --fit) must not have {NAME} for a machine without a "
             "magnet and one inductance; leave it out."
@@ -92,3 +92,13 @@ def encoder_offset(
 def _magnets(relation, x, u, y):
     # Of `1/2 |x|^2 = L i'x + d` the gradient is that flux.
     return jax.vmap(lambda x, u, y: residual(relation(u, y), x)[1])(x, u, y)
+
+
+def _one_inductance(model: Any) -> bool:
+    """Whether a model has one inductance, and one resistance in series with it."""
+    relations: Any = relations_of(model) or ()
+    scalar = lambda x: x is not None and np.ndim(x) == 0
+    names = ("inductance", "resistance")
+    return len(relations) == 1 and all(
+        scalar(getattr(relations[0], name, None)) for name in names
+    )

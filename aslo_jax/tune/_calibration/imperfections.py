@@ -1,5 +1,4 @@
-"""What a supply and sensors make of a log: offsets, a gain, a dead time, a delay; and what
-iron does, which saturates."""
+"""What a supply and sensors make of a log: offsets, a gain, a dead time, a delay."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -13,7 +12,6 @@ from jaxtyping import Array, Float
 from ..._checks import real
 from ...plants import MagneticBearing, Stepper
 from .parameters import Parameters
-from .predict import relations_of
 from .whiten import Signals
 
 # The phases of a star from its stationary, amplitude-invariant frame.
@@ -33,9 +31,7 @@ class Imperfections(eqx.Module):
     - `delay`: how late the inputs stand in the record (samples); a fraction is read off
       the curve through the samples (Catmull, Rom, 1974), whose slope has no jumps. Were an
       input held that turns by an angle a in a sample, this is a^2/8 of it too much at half
-      a sample, and right at whole ones;
-    - `saturation`: the share of an inductance that is gone where the current is as large
-      as `current` (A); that share goes with the square of the current.
+      a sample, and right at whole ones.
     """
 
     output_offset: Float[Array, " p"] = eqx.field(converter=real)
@@ -45,28 +41,18 @@ class Imperfections(eqx.Module):
     delay: Float[Array, ""] = eqx.field(converter=real)
     threshold: Float[Array, ""] = eqx.field(converter=real)
     star: bool = eqx.field(static=True)
-    saturation: Float[Array, ""] = eqx.field(converter=real, default=0.0)
-    current: Float[Array, ""] = eqx.field(converter=real, default=1.0)
 
-    def __call__(self, signals: Signals, resistance: Any = 0.0) -> Signals:
+    def __call__(self, signals: Signals) -> Signals:
         h, u, y = signals
         y = y - self.output_offset
         u = self.gain * _between(u, self.delay)[0] + self.input_offset
         if u.shape[1] == y.shape[1]:
             u = u - self.dead_time * self._direction(y)
-            # An inductance sees less of the current; the voltage over the resistance stays.
-            lost = self.saturation * self._cubed(y)
-            u, y = u - resistance * lost, y - lost
         return Signals(h, u, y)
 
-    def _cubed(self, y: Any) -> Any:
-        return y * (y**2).sum(axis=1, keepdims=True) / self.current**2
-
-    def slopes(
-        self, signals: Signals, resistance: float
-    ) -> Iterator[tuple[str, int, Any, Any]]:
+    def slopes(self, signals: Signals) -> Iterator[tuple[str, int, Any, Any]]:
         """Of a log, by NumPy: every field, each of its entries, and the slopes of the u and
-        the y that the machine has seen in it. Saturation is tested only, from zero on."""
+        the y that the machine has seen in it."""
         this: Any = jax.tree.map(np.asarray, self)
         u, y = (np.asarray(x, float) for x in signals[1:])
         delayed, later = _between(u, this.delay)
@@ -84,9 +70,6 @@ class Imperfections(eqx.Module):
         yield "dead_time", 0, -this._direction(seen) if dead else none, still
         turned = -this.dead_time * this._turned(seen, still, 1.0) if dead else none
         yield "threshold", 0, turned, still
-        if dead:
-            lost = this._cubed(seen)
-            yield "saturation", 0, -resistance * lost, -lost
 
     def _direction(self, y: Any) -> Any:
         """The direction of the currents of all phases, in the frame of the inputs."""
@@ -147,26 +130,6 @@ class Recorded(eqx.Module):
     model: Any
     imperfections: Imperfections
 
-    def __call__(self, signals: Signals) -> Signals:
-        """The signals that the machine has seen."""
-        return self.imperfections(signals, dropping(self.model))
-
-
-def saturates(model: Any) -> bool:
-    """Whether a model has one inductance, and one resistance in series with it."""
-    relations: Any = relations_of(model) or ()
-    scalar = lambda x: x is not None and np.ndim(x) == 0
-    names = ("inductance", "resistance")
-    return len(relations) == 1 and all(
-        scalar(getattr(relations[0], name, None)) for name in names
-    )
-
-
-def dropping(model: Any) -> Any:
-    """The resistance (ohm) over which a current drops a voltage that iron does not see."""
-    relations: Any = relations_of(model)
-    return relations[0].resistance if saturates(model) else 0.0
-
 
 def perfect(model: Any, signals: Signals) -> Imperfections:
     """No error, for a log of `model`; the threshold of a dead time is a fiftieth of the
@@ -182,7 +145,6 @@ def perfect(model: Any, signals: Signals) -> Imperfections:
         0.0,
         max(0.02 * float(size), 1e-12),
         star,
-        current=max(2**0.5 * float(size), 1e-12),
     )
 
 
@@ -202,8 +164,7 @@ def seen(
     rate = parameters.rates(np.asarray(q, float))
     du, dy = (np.zeros((len(rate), *x.shape)) for x in whole[1:])
     if any(getattr(numbered, name) in begins for name in vars(numbered)):
-        R = float(dropping(recorded.model))
-        for name, j, of_u, of_y in recorded.imperfections.slopes(whole, R):
+        for name, j, of_u, of_y in recorded.imperfections.slopes(whole):
             begin = begins.get(getattr(numbered, name))
             if begin is not None:
                 k = begin + j
@@ -219,7 +180,6 @@ def sizes_of(signals: Signals) -> dict[str, float]:
         "input_offset": u,
         "dead_time": u,
         "delay": 3.0,
-        "saturation": 1.0,
     }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from .adequacy import findings, scored, tested, undecided
-from .alternatives import PLAUSIBLE, alternatives, together, widened
+from .alternatives import alternatives, together, widened
 from .encoder import NAME, check_angle, encoder_offset
 from .imperfections import Recorded, fitted, perfect
 from .parameters import chosen
@@ -119,17 +119,12 @@ def calibrate(
             break
     v, known = search.last_round(v)
     profiles = search.profiles(v, known, confidence, resolution)
-    told = all(profile.parabolic for profile in profiles)
-    scores = scored(search, [field for field in tests if field in PLAUSIBLE])
+    scores = scored(search, tests)
     seen = findings(scores)
-    if told:
-        # Where the inductance has no parabola, what it does with the current has none
-        # either. A dead time goes with the current too, and comes first.
-        more = [field for field in tests if field not in PLAUSIBLE]
-        scores += scored(search, more, [finding.field for finding in seen])
-        seen = findings(scores)
-    if undecided(search.errors.size, scores) or not told:
-        others = alternatives(search, v, [field for field in tests if field in PLAUSIBLE])
+    if undecided(search.errors.size, scores) or not all(
+        profile.parabolic for profile in profiles
+    ):
+        others = alternatives(search, v, tests)
         seen = together(seen, others)
         profiles = widened(profiles, others, confidence)
     found = summed_up(

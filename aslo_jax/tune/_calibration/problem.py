@@ -98,7 +98,7 @@ class Problem(Module):
         """What is predicted with the unknowns `v`, from which states on, and of which
         signals."""
         prediction, x0, recorded = predicted(self.parameters, self.form, self.states, v)
-        return prediction, x0, recorded(self.signals)
+        return prediction, x0, recorded.imperfections(self.signals)
 
     def drift(self) -> Float[np.ndarray, "N n"]:
         """The derivatives of the states at their start (their units per second)."""
