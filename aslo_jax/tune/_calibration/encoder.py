@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from ..._replay import replay
 from .imperfections import seen
-from .information import Information, spread
 from .predict import relations_of, residual
 from .problem import Problem
 from .relative import Observers, trusted
@@ -18,7 +17,6 @@ from .start import typical_cutoff
 from .whiten import Signals
 
 NAME = "encoder_offset"
-STEP = 1e-4  # of a parameter, between two angles of which the slope is taken
 
 
 def check_angle(
@@ -47,19 +45,16 @@ def check_angle(
 def encoder_offset(
     problem: Problem,
     v: Float[np.ndarray, " v"],
-    known: Information,
     log: tuple[np.ndarray, np.ndarray, np.ndarray],
     angle: Float[np.ndarray, " N"],
     cutoff: float | None,
-) -> tuple[float, float]:
-    """The angle (rad) that the record is ahead of the magnet, and its standard deviation:
-    from the spread over blocks of the record, and from that of the parameters.
+) -> float:
+    """The angle (rad) that the record is ahead of the magnet, on average.
 
-    - `v`, `known`: the unknowns that were found, and what is known of them;
+    - `v`: the unknowns that were found;
     - `log`: `t` (s), `u` and `y` as they are recorded."""
     parameters, (t, *recorded) = problem.parameters, log
     signals: Any = Signals._make((np.diff(t), *recorded))
-    k, every = len(problem.found), len(parameters.names)
     if cutoff is None:
         cutoff = typical_cutoff(relations_of(parameters.model.model) or (), signals)
     observers = Observers(cutoff)
@@ -74,18 +69,8 @@ def encoder_offset(
         weight = trusted(estimate, t, observer) / np.maximum(np.abs(vector), 1e-300)
         return weight * np.exp(1j * angle) * np.conj(vector)
 
-    q = np.array(v[:every])
-    rows = lead(q)
-    mean = np.sum(rows)
-    off = (rows * np.conj(mean)).imag[:, None] / np.abs(mean) ** 2
-    variance = float(spread(off, len(rows))[0, 0])
-    slope = np.zeros(k)
-    for j in range(k):
-        ends = [np.sum(lead(q + side * STEP * np.eye(every)[j])) for side in (1, -1)]
-        slope[j] = np.angle(ends[0] * np.conj(ends[1])) / (2.0 * STEP)
-    inverse = np.linalg.pinv(known.curvature, hermitian=True)
-    variance += float(slope @ inverse @ slope) * float(np.max(known.inflation))
-    return float(np.angle(mean)), float(np.sqrt(variance))
+    q = np.array(v[: len(parameters.names)])
+    return float(np.angle(np.sum(lead(q))))
 
 
 @eqx.filter_jit

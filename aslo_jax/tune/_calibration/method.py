@@ -73,7 +73,8 @@ def calibrate(
       the inputs; see [`Imperfections`][]. Gain, resistances, inductances and magnet fluxes
       have one scale in common, so that one of these must be left out of `where`. An offset
       of the outputs and one of the inputs cannot be told apart. `"threshold"` (A) is that
-      of a dead time. `"encoder_offset"` (rad) is how far `angle` is ahead of the magnet;
+      of a dead time. `"encoder_offset"` (rad) is how far `angle` is ahead of the magnet,
+      and has no interval;
     - `angle`: the electrical angle of the log (rad), shape `(N,)`, for that offset only;
     - `progress`: is told of every round.
 
@@ -145,8 +146,8 @@ def calibrate(
     )
     if encoder is None:
         return found
-    middle, deviation = encoder_offset(problem, v, known, (t, u, y), encoder, cutoff)
-    return found.beside(NAME, middle, factor * deviation, resolution)
+    ahead = encoder_offset(problem, v, (t, u, y), encoder, cutoff)
+    return found.beside(NAME, ahead)
 
 
 def _entries(recorded: Recorded, fields: Sequence[str]) -> int:

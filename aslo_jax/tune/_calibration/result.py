@@ -105,23 +105,16 @@ class Calibration:
         low, high = self.interval[name]
         return max(high - self.estimate[name], self.estimate[name] - low)
 
-    def beside(
-        self, name: str, middle: float, half: float, resolution: float
-    ) -> "Calibration":
-        """With one more number, that is zero in a right record, of an interval of `half`
-        width; it cannot be trusted more than the others."""
-        trusted = not self.withdrawn and self.reason == SETTLED
+    def beside(self, name: str, value: float) -> "Calibration":
+        """With one more number, that is zero in a right record and has no interval."""
         nan = float("nan")
-        ends = (middle - half, middle + half) if trusted else (nan, nan)
-        sure = trusted and half < resolution * max(abs(middle), 1.0)
-        places = middle + half * np.array([-1.0, 0.0, 1.0])
         changed: dict[str, Any] = {
             "before": self.before | {name: 0.0},
-            "estimate": self.estimate | {name: middle},
-            "after": self.after | {name: middle if sure else nan},
-            "interval": self.interval | {name: ends},
+            "estimate": self.estimate | {name: value},
+            "after": self.after | {name: nan},
+            "interval": self.interval | {name: (nan, nan)},
             "allowed": self.allowed | {name: ()},
-            "profiles": self.profiles | {name: (places, np.array([1.0, 0.0, 1.0]))},
+            "profiles": self.profiles | {name: (np.array([value]), np.zeros(1))},
         }
         return dataclasses.replace(self, **changed)
 
@@ -146,6 +139,8 @@ class Calibration:
             elif np.isfinite(half):
                 why = f"about {value:.3g} {size}: too wide, not determined{flat}"
                 why += f" ({allowed} not ruled out)" if allowed else ""
+            elif self.profiles[name][0].size == 1:
+                why = f"about {value:.3g}, without an interval"
             else:
                 why = f"not determined by this record{flat}"
             found.append((name, f"{before:.6g}", "", why))
