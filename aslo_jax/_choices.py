@@ -33,7 +33,15 @@ Speed: TypeAlias = Literal["mechanical", "electrical"]
 Connection: TypeAlias = Literal["star", "delta"]
 
 # Errors of a record that a calibration finds besides the parameters.
-RecordError: TypeAlias = Literal["offset", "input_offset", "gain", "dead_time", "delay"]
+RecordError: TypeAlias = Literal[
+    "offset",
+    "input_offset",
+    "gain",
+    "dead_time",
+    "threshold",
+    "delay",
+    "encoder_offset",
+]
 
 # The windings of a wound-rotor machine.
 Winding: TypeAlias = Literal["stator", "rotor"]

@@ -1,14 +1,18 @@
 """The passes of a calibration: machine code and XLA find the same."""
 
+import dataclasses
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aslo_jax as aslo
 from aslo_jax.tune._calibration import passes
-from aslo_jax.tune._calibration.imperfections import Recorded, perfect
+from aslo_jax.tune._calibration.imperfections import Recorded, perfect, seen
 from aslo_jax.tune._calibration.parameters import chosen
 from aslo_jax.tune._calibration.problem import problem_of
+from aslo_jax.tune._calibration.relative import Observers, Relative
 from aslo_jax.tune._calibration.whiten import Signals
 
 ROWS, STEP = 160, 2e-4
@@ -87,3 +91,67 @@ def test_what_machine_code_cannot_do_xla_does(pair, monkeypatch):
     monkeypatch.setattr(refused, "_run", run)
     same(refused.filtered(v, levels).cost, plain.filtered(v, levels).cost)
     assert not refused.fused
+
+
+def test_slopes_of_what_the_machine_has_seen_are_those_of_xla():
+    """Of every field and every entry; none at all in what is no error of the record."""
+    rng = np.random.default_rng(13)
+    for plant in (
+        aslo.plants.PMSM(0.7, 2.1e-3, 0.05, pole_pairs=3, inertia=1e-4),
+        aslo.plants.Stepper(0.55, 1.5e-3, 0.19, 50, 4.5e-5),
+    ):
+        u, y = rng.standard_normal((2, 40, 2))
+        signals = Signals(np.full(39, STEP), u, y)
+        recorded = Recorded(plant, perfect(plant, signals))
+        fields = (*FIELDS, "gain", "input_offset", "threshold")
+        errors = lambda r, f=fields: tuple(getattr(r.imperfections, n) for n in f)
+        selected = chosen(recorded, lambda r, e=errors: (r.model.resistance, *e(r)))
+        scale = np.where(selected.scale == 0, 0.3, selected.scale)
+        selected = dataclasses.replace(selected, scale=scale)
+        for delay in (0.0, 1.3, -4.1):  # also between the samples, and beyond both ends
+            q = 0.2 * rng.standard_normal(len(selected.names))
+            q[selected.names.index("delay")] = delay
+            apart = (
+                lambda q: selected.place(q).imperfections(  # noqa: B023
+                    Signals(*map(jnp.asarray, signals))  # noqa: B023
+                )[1:]
+            )
+            found, du, dy = seen(selected, signals, q)
+            for mine, theirs in zip(found[1:], apart(jnp.asarray(q)), strict=True):
+                np.testing.assert_allclose(mine, theirs, atol=1e-13)
+            slopes = jax.jacfwd(apart)(jnp.asarray(q))
+            for mine, theirs in zip((du, dy), slopes, strict=True):
+                np.testing.assert_allclose(mine, np.moveaxis(theirs, -1, 0), atol=1e-12)
+            assert not du[0].any() and not dy[0].any()
+
+
+@pytest.mark.parametrize("even", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_where_a_search_starts_is_compared_as_by_xla(even):
+    """Residuals of the algebraic estimates and their slopes, on logs with one interval and
+    with many."""
+    rng = np.random.default_rng(14)
+    t = 1e-3 * (np.arange(120) + (0.0 if even else 0.1) * rng.uniform(size=120))
+    turning = lambda lead: np.stack([np.cos(90 * t + lead), np.sin(90 * t + lead)], 1)
+    y = 2.0 * turning(0.2) + 0.1 * rng.standard_normal((120, 2))
+    signals = Signals(np.diff(t), 9.0 * turning(1.1), y)
+    plant = aslo.plants.PMSM(0.7, 2.1e-2, 0.05, pole_pairs=3, inertia=1e-4)
+    recorded = Recorded(plant, perfect(plant, signals))
+    selected = chosen(
+        recorded,
+        lambda r: (
+            r.model.resistance,
+            r.model.inductance,
+            r.imperfections.output_offset,
+            r.imperfections.delay,
+        ),
+    )
+    selected = dataclasses.replace(selected, scale=np.full(5, 0.3))
+    cost = Relative(selected, Observers(60.0), t, signals, (True,), 1)
+    q = np.array([0.1, -0.2, 0.03, 0.02])
+    rows, slopes = cost(q)
+    assert cost.fused
+    cost.fused = False
+    same(rows, cost(q)[0])
+    plain = cost(q)[1]
+    for j in range(q.size):
+        same(slopes[:, j], plain[:, j])

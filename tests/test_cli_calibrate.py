@@ -14,6 +14,7 @@ from machine_records import motor_log
 import aslo_jax as aslo
 from aslo_jax._choices import RecordError
 from aslo_jax.cli import main
+from aslo_jax.cli._calibrated import as_json
 from aslo_jax.described import calibrate_machine, calibrated_text as rewritten
 from aslo_jax.described._calibrated import _near
 from aslo_jax.logs import read_log, write_table
@@ -217,5 +218,20 @@ def test_values_far_from_those_of_the_file_are_not_trusted():
     assert _near(closer) is closer
 
 
+def test_the_errors_that_an_interval_allows_for_are_in_the_table_and_for_programs():
+    allowed = {"resistance": ("delay", "dead_time"), "inductance": ()}
+    names = ("resistance", "inductance")
+    of = {"before": {"resistance": 2.1, "inductance": 4e-3}}
+    for field in ("estimate", "after", "interval"):
+        of[field] = {n: getattr(calibrated(), field)[n] for n in names}
+    found = calibrated(allowed=allowed, **of)
+    rows = {row[0]: row[3] for row in found.rows()}
+    assert rows["resistance"].endswith("; allows for a delay of the inputs, a dead time")
+    assert "dead time" not in rows["inductance"]
+    content = json.loads(as_json(found, {}, []))["parameters"]
+    assert content["resistance"]["allowed"] == ["delay", "dead_time"]
+    assert content["inductance"]["allowed"] == []
+
+
 def test_the_words_for_errors_of_a_record_are_those_of_files():
-    assert {*get_args(RecordError)} | {"output_offset"} == set(FITS)
+    assert {*get_args(RecordError)} | {"output_offset"} == {*FITS, "encoder_offset"}

@@ -197,3 +197,21 @@ def test_the_profile_sees_a_second_valley():
     assert not found.parabolic
     assert found.high == pytest.approx(end, rel=0.02)
     assert found.low == pytest.approx(-end, rel=0.02)
+
+
+def test_an_angle_ahead_of_the_magnet_is_found():
+    """In closed form: the angle of the record's motor, and 0.13 rad more."""
+    t, u, y = clean()
+    angle = 4 * 0.3 + 260.0 * t + 0.25 * 260.0 / 9 * (1 - np.cos(9 * t))
+    found = calibrate(
+        off((1.1, 0.9, 1.05)), t, u, y, where, fit=("encoder_offset",), angle=angle + 0.13
+    )
+    assert abs(found.estimate["encoder_offset"] - 0.13) < 2e-3
+    assert np.isnan(found.interval["encoder_offset"]).all()
+    assert "about 0.13, without an interval" in str(found)
+    assert found.before["encoder_offset"] == 0.0
+    fit = {"where": where, "fit": ("encoder_offset",)}
+    with pytest.raises(ValueError, match="for a log without an angle"):
+        calibrate(MOTOR, t, u, y, **fit)
+    with pytest.raises(ValueError, match=r"`angle` must be finite and of shape \(1500,\)"):
+        calibrate(MOTOR, t, u, y, **fit, angle=angle[1:])

@@ -69,7 +69,8 @@ def calibrate(
         typer.Option(
             metavar="ERROR",
             help="Errors of the record to be found as well, one or several with commas: "
-            "offset (of the outputs), input_offset, gain, dead_time, delay; by default "
+            "offset (of the outputs), input_offset, gain, dead_time, threshold (of a dead "
+            "time), delay, encoder_offset (of a log in dq); by default "
             "those of the machine's file, calibration.fit.",
         ),
     ] = None,

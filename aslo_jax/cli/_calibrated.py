@@ -30,6 +30,8 @@ EXPLAINED = {
     "input_offset": ("offset",),
     "gain": ("voltage_scale",),
     "dead_time": ("dead_time",),
+    "threshold": ("dead_time",),
+    "encoder_offset": (),
     "delay": ("voltage_timing", "voltage_instant"),
 }
 # What a verdict says of a log whose parameters or known errors are wrong: the calibration
@@ -133,7 +135,7 @@ def units_of(machine: AbstractDescription, found: Calibration) -> dict[str, str]
     fields, of = type(machine.machine).model_fields, machine.signals
     outputs, inputs = (measured_unit((*names, "")[0]) for names in (of.outputs, of.inputs))
     known = {"output_offset": outputs, "input_offset": inputs, "dead_time": inputs}
-    known |= {"delay": "samples", "gain": ""}
+    known |= {"threshold": outputs, "delay": "samples", "gain": "", "encoder_offset": "rad"}
     units = {}
     for name in found.estimate:
         key = name.partition("[")[0]
@@ -173,6 +175,7 @@ def as_json(
             "high": _number(found.interval[name][1]),
             "before": _number(found.before[name]),
             "determined": found.determined(name),
+            "allowed": list(found.allowed[name]),
             "written": found.determined(name) and name.partition("[")[0] in values,
         }
         for name in found.estimate
@@ -206,6 +209,7 @@ def nothing_as_json(
             parameters[label] = nothing | {
                 "before": float(value),
                 "determined": False,
+                "allowed": [],
                 "written": False,
             }
     content = {

@@ -34,13 +34,15 @@ def calibrate_machine(
     is not one of them.
     """
     names = parameters_of(machine, parameters)
+    settings = machine.calibration.model_dump() | settings
     found = calibrate(
         machine.plant(),
         log.t,
         log.u,
         log.y,
         where=lambda plant: tuple(getattr(plant, name) for name in names),
-        **machine.calibration.model_dump() | settings,
+        angle=log.angle,
+        **settings,
     )
     return _near(found)
 

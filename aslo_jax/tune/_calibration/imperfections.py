@@ -1,14 +1,17 @@
 """What a supply and sensors make of a log: offsets, a gain, a dead time, a delay."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..._checks import real
 from ...plants import MagneticBearing, Stepper
+from .parameters import Parameters
 from .whiten import Signals
 
 # The phases of a star from its stationary, amplitude-invariant frame.
@@ -42,31 +45,71 @@ class Imperfections(eqx.Module):
     def __call__(self, signals: Signals) -> Signals:
         h, u, y = signals
         y = y - self.output_offset
-        u = self.gain * _between(jnp.asarray(u), self.delay) + self.input_offset
+        u = self.gain * _between(u, self.delay)[0] + self.input_offset
         if u.shape[1] == y.shape[1]:
             u = u - self.dead_time * self._direction(y)
         return Signals(h, u, y)
 
-    def _direction(self, y: Float[Array, "N p"]) -> Float[Array, "N m"]:
+    def slopes(self, signals: Signals) -> Iterator[tuple[str, int, Any, Any]]:
+        """Of a log, by NumPy: every field, each of its entries, and the slopes of the u and
+        the y that the machine has seen in it."""
+        this: Any = jax.tree.map(np.asarray, self)
+        u, y = (np.asarray(x, float) for x in signals[1:])
+        delayed, later = _between(u, this.delay)
+        none, seen = np.zeros(u.shape), y - this.output_offset
+        dead = u.shape[1] == y.shape[1]
+        for j, row in enumerate(np.eye(y.shape[1])):
+            moved = np.broadcast_to(-row, y.shape)
+            turned = -this.dead_time * this._turned(seen, moved, 0.0) if dead else none
+            yield "output_offset", j, turned, moved
+        still = np.zeros(y.shape)
+        for j, row in enumerate(np.eye(u.shape[1])):
+            yield "input_offset", j, np.broadcast_to(row, u.shape), still
+        yield "gain", 0, delayed, still
+        yield "delay", 0, this.gain * later, still
+        yield "dead_time", 0, -this._direction(seen) if dead else none, still
+        turned = -this.dead_time * this._turned(seen, still, 1.0) if dead else none
+        yield "threshold", 0, turned, still
+
+    def _direction(self, y: Any) -> Any:
         """The direction of the currents of all phases, in the frame of the inputs."""
+        xp = np if isinstance(y, np.ndarray) else jnp
         if not self.star:
-            return jnp.tanh(y / self.threshold)
+            return xp.tanh(y / self.threshold)
         pairs = y.reshape(y.shape[0], -1, 2)
-        phases = jnp.tanh(pairs @ STAR.T / self.threshold)
+        phases = xp.tanh(pairs @ STAR.T / self.threshold)
         return (2.0 / 3.0 * phases @ STAR).reshape(y.shape)
 
+    def _turned(self, y: Any, moved: Any, wider: float) -> Any:
+        """How the direction changes where the currents are `moved`, and the threshold is
+        `wider`."""
+        shape = (y.shape[0], -1, 2) if self.star else y.shape
+        y, moved = y.reshape(shape), moved.reshape(shape)
+        y, moved = (y @ STAR.T, moved @ STAR.T) if self.star else (y, moved)
+        change = moved / self.threshold - y * wider / self.threshold**2
+        change = change * (1.0 - np.tanh(y / self.threshold) ** 2)
+        return (2.0 / 3.0 * change @ STAR).reshape(len(y), -1) if self.star else change
 
-def _between(u: Float[Array, "N m"], delay: Float[Array, ""]) -> Float[Array, "N m"]:
-    """The curve through the samples `u`, `delay` samples after each."""
-    rows = jnp.arange(u.shape[0])
-    place = jnp.clip(rows + delay, 0.0, rows[-1])
-    left = jnp.clip(jnp.floor(place).astype(int), 0, rows.size - 2)
+
+def _between(u: Any, delay: Any) -> tuple[Any, Any]:
+    """The curve through the samples `u`, `delay` samples after each, and its slope."""
+    xp = np if isinstance(u, np.ndarray) and isinstance(delay, np.ndarray) else jnp
+    rows, last = np.arange(u.shape[0]), u.shape[0] - 1
+    # Beyond the ends the samples go on along lines; the delay is no longer than the log.
+    u = xp.concatenate([2.0 * u[:1] - u[1:2], u, 2.0 * u[-1:] - u[-2:-1]])
+    place = rows + delay
+    inside = (place >= 0.0) & (place <= last)
+    place = xp.where(inside, place, xp.where(place < 0.0, 0.0, last))
+    left = xp.clip(xp.floor(place).astype(int), 0, last - 1)
     s = (place - left)[:, None]
-    before, after = u[jnp.maximum(left - 1, 0)], u[jnp.minimum(left + 2, rows[-1])]
+    before, here, there, after = (u[left + k] for k in range(4))
     outer = (1.0 - s) * before + s * after
-    inner = (2.0 + 2.0 * s - 3.0 * s**2) * (1.0 - s) * u[left]
-    inner += (1.0 + 4.0 * s - 3.0 * s**2) * s * u[left + 1]
-    return 0.5 * (inner - s * (1.0 - s) * outer)
+    inner = (2.0 + 2.0 * s - 3.0 * s**2) * (1.0 - s) * here
+    inner = inner + (1.0 + 4.0 * s - 3.0 * s**2) * s * there
+    value = 0.5 * (inner - s * (1.0 - s) * outer)
+    slope = (9.0 * s**2 - 10.0 * s) * here + (1.0 + 8.0 * s - 9.0 * s**2) * there
+    slope = slope - (1.0 - 2.0 * s) * outer - s * (1.0 - s) * (after - before)
+    return value, 0.5 * slope * inside[:, None]
 
 
 # By the name that is asked for, the fields that are fitted.
@@ -76,6 +119,7 @@ FITS = {
     "input_offset": "input_offset",
     "gain": "gain",
     "dead_time": "dead_time",
+    "threshold": "threshold",
     "delay": "delay",
 }
 
@@ -94,20 +138,56 @@ def perfect(model: Any, signals: Signals) -> Imperfections:
     size = np.sqrt(np.mean(np.asarray(signals.y) ** 2))
     star = m == p and m % 2 == 0 and not isinstance(model, Stepper | MagneticBearing)
     return Imperfections(
-        jnp.zeros(p), jnp.zeros(m), 1.0, 0.0, 0.0, max(0.02 * float(size), 1e-12), star
+        jnp.zeros(p),
+        jnp.zeros(m),
+        1.0,
+        0.0,
+        0.0,
+        max(0.02 * float(size), 1e-12),
+        star,
     )
+
+
+def seen(
+    parameters: Parameters, signals: Signals, q: Float[np.ndarray, " k"]
+) -> tuple[Signals, Float[np.ndarray, "k N m"], Float[np.ndarray, "k N p"]]:
+    """What the machine has seen of a log, by NumPy, with the `parameters` of a
+    [`Recorded`][] at `q`, and the slopes of u and y in q."""
+    recorded: Recorded = parameters.place(np.asarray(q, float))
+    numeric: Any = jax.tree.map(np.asarray, recorded.imperfections)
+    h, u, y = (np.asarray(x, float) for x in signals)
+    whole: Any = signals._replace(h=h, u=u, y=y)
+    leaves, structure = jax.tree.flatten(parameters.model)
+    numbered = jax.tree.unflatten(structure, range(len(leaves))).imperfections
+    sizes = [np.size(leaves[k]) for k in parameters.leaves]
+    begins = dict(zip(parameters.leaves, np.cumsum([0, *sizes[:-1]]), strict=True))
+    rate = parameters.rates(np.asarray(q, float))
+    du, dy = (np.zeros((len(rate), *x.shape)) for x in whole[1:])
+    if any(getattr(numbered, name) in begins for name in vars(numbered)):
+        for name, j, of_u, of_y in recorded.imperfections.slopes(whole):
+            begin = begins.get(getattr(numbered, name))
+            if begin is not None:
+                k = begin + j
+                du[k], dy[k] = rate[k] * of_u, rate[k] * of_y
+    return numeric(whole), du, dy
 
 
 def sizes_of(signals: Signals) -> dict[str, float]:
     """What each of the errors is counted in: the rms of a signal, or three samples."""
     u, y = (float(np.sqrt(np.mean(np.asarray(x) ** 2))) for x in (signals.u, signals.y))
-    return {"output_offset": y, "input_offset": u, "dead_time": u, "delay": 3.0}
+    return {
+        "output_offset": y,
+        "input_offset": u,
+        "dead_time": u,
+        "delay": 3.0,
+    }
 
 
 def fitted(name: str) -> str:
     """The field of [`Imperfections`][] that the name of a fit stands for."""
     if name not in FITS:
+        known = ", ".join((*FITS, "encoder_offset"))
         raise ValueError(
-            f"Argument `fit` (option --fit) must be of {', '.join(FITS)}, but got `{name}`."
+            f"Argument `fit` (option --fit) must be of {known}, but got `{name}`."
         )
     return FITS[name]

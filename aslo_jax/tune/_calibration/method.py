@@ -9,6 +9,7 @@ from jaxtyping import ArrayLike
 
 from .adequacy import findings, scored, tested, undecided
 from .alternatives import alternatives, together, widened
+from .encoder import NAME, check_angle, encoder_offset
 from .imperfections import Recorded, fitted, perfect
 from .parameters import chosen
 from .problem import problem_of
@@ -34,6 +35,7 @@ def calibrate(
     confidence: float = 0.95,
     rounds: int = 12,
     fit: Sequence[str] = (),
+    angle: ArrayLike | None = None,
     progress: Callable[[str], Any] = lambda text: None,
 ) -> Calibration:
     """Find parameters of a machine from a log, without ground truth.
@@ -70,7 +72,10 @@ def calibrate(
       `"input_offset"`, `"gain"` of the inputs, `"dead_time"` of an inverter, `"delay"` of
       the inputs; see [`Imperfections`][]. Gain, resistances, inductances and magnet fluxes
       have one scale in common, so that one of these must be left out of `where`. An offset
-      of the outputs and one of the inputs cannot be told apart;
+      of the outputs and one of the inputs cannot be told apart. `"threshold"` (A) is that
+      of a dead time. `"encoder_offset"` (rad) is how far `angle` is ahead of the magnet,
+      and has no interval;
+    - `angle`: the electrical angle of the log (rad), shape `(N,)`, for that offset only;
     - `progress`: is told of every round.
 
     **Returns:** a [`Calibration`][]. Its intervals are those of the profile of the squares,
@@ -90,12 +95,13 @@ def calibrate(
     import scipy.stats  # heavy to import, and needed for a calibration only
 
     t, u, y = (np.asarray(signal, float) for signal in (t, u, y))
-    fields = tuple(dict.fromkeys(fitted(name) for name in fit))
+    encoder = check_angle(model, angle, t) if NAME in fit else None
+    asked = tuple(dict.fromkeys(fitted(name) for name in fit if name != NAME))
     recorded = Recorded(
         model, perfect(model, Signals(*map(jnp.asarray, (np.diff(t), u, y))))
     )
-    tests = tested(model, u, y, fields)
-    errors = lambda r: tuple(getattr(r.imperfections, f) for f in (*fields, *tests))
+    tests = tested(model, u, y, asked)
+    errors = lambda r: tuple(getattr(r.imperfections, f) for f in (*asked, *tests))
     selected = chosen(recorded, lambda r: (where(r.model), *errors(r)))
     problem = problem_of(
         selected, t, u, y, cutoff, constant, scale or {}, _entries(recorded, tests)
@@ -122,7 +128,7 @@ def calibrate(
         others = alternatives(search, v, tests)
         seen = together(seen, others)
         profiles = widened(profiles, others, confidence)
-    return summed_up(
+    found = summed_up(
         problem=problem,
         v=v,
         known=known,
@@ -138,6 +144,10 @@ def calibrate(
         rounds=done,
         settled=settled,
     )
+    if encoder is None:
+        return found
+    ahead = encoder_offset(problem, v, (t, u, y), encoder, cutoff)
+    return found.beside(NAME, ahead)
 
 
 def _entries(recorded: Recorded, fields: Sequence[str]) -> int:

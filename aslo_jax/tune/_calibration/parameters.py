@@ -34,6 +34,10 @@ class Parameters(Module):
         added = self.value + self.scale * q
         return xp.where(signed, added, self.value * xp.exp(xp.where(signed, 0.0, q)))
 
+    def rates(self, q: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """The slope of every entry in its `q` (their units), shape `(k,)`."""
+        return np.where(np.array(self.signed, bool), self.scale, self.entries(q))
+
     def place(self, q: Float[Array, " k"] | Float[np.ndarray, " k"]) -> Any:
         """The model with these parameters."""
         every, structure = jax.tree.flatten(self.model)

@@ -16,10 +16,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...engines._frontend.lower import NotFusible
-from .problem import Problem, Vector, predicted
+from .imperfections import seen
+from .kept import run_kept
+from .problem import Problem, predicted
 from .whiten import (
     Gains,
     Noise,
+    Signals,
     error_first,
     error_step,
     errors,
@@ -103,8 +106,7 @@ class Passes:
         counts; kept for the next pass with the same unknowns."""
         key = np.asarray(v, float).tobytes()
         if self._there[0] != key:
-            found = _rows(self.problem, np.asarray(v, float))
-            self._there = key, jax.tree.map(np.asarray, found)
+            self._there = key, _rows(self.problem, np.asarray(v, float))
         return self._there[1]
 
     def _fused_filter(self, v, levels) -> Filtered:
@@ -210,21 +212,7 @@ class Passes:
         return Bodies(begin, advance, lambda pair, inputs: None)
 
     def _run(self, name: str, bodies: "Callable[[], Bodies]", inputs: dict, lanes: int):
-        """The records and what is final, of programs that are kept."""
-        from ...engines._fused.kept import kept, key_of, shape_of  # which need an extra
-        from ...engines._fused.program import Program
-        from ...engines._runtime.host import widths
-
-        drop = {"shared": 0, "log": 1, "lane": 1, "lane log": 2}
-        shapes = {
-            kind: jax.tree.map(lambda x, n=drop[kind]: shape_of(x, n), tree)
-            for kind, tree in inputs.items()
-        }
-        rest, *more = self._key
-        key = key_of(rest, shapes, name, *more)
-        program = kept(key, lambda: Program.of(bodies(), shapes, widths()))
-        steps = len(jax.tree.leaves(inputs["log"])[0])
-        return program(inputs, lanes, steps)
+        return run_kept((*self._key, name), bodies, inputs, lanes)
 
 
 def noise_of(levels: Any, drift: Any, reference: Any) -> Noise:
@@ -233,21 +221,26 @@ def noise_of(levels: Any, drift: Any, reference: Any) -> Noise:
     return Noise(jnp.exp(levels[0]) * reference, jnp.exp(levels[1]) * drift, reference)
 
 
-@eqx.filter_jit
-def _rows(problem: Problem, v: Vector):
+def _rows(problem: Problem, v: Float[np.ndarray, " v"]):
     """What is seen of a log with the errors of its record taken away, the first sample and
-    the rows, and the slopes of both in `v`: of states and constants there are none."""
+    the rows, and the slopes of both in `v`, of which a leading axis counts: of states and
+    constants there are none."""
     k = len(problem.parameters.names)
-
-    def rows(q):
-        signals = problem.parameters.place(q).imperfections(problem.signals)
-        found = (signals.u[0], signals.y[0]), rows_of(signals)
-        return found, found
-
-    slopes, found = jax.jacfwd(rows, has_aux=True)(v[:k])
-    rest = lambda x: ((0, v.size - k), *[(0, 0)] * (x.ndim - 1))
-    front = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), slopes)
-    return found, jax.tree.map(lambda x: jnp.pad(x, rest(x)), front)
+    signals, of_u, of_y = seen(problem.parameters, problem.signals, v[:k])
+    found = (signals.u[0], signals.y[0]), rows_of(signals)
+    slopes = jax.tree.map(lambda x: np.zeros((v.size, *x.shape)), found)
+    for j in range(k):
+        if of_u[j].any() or of_y[j].any():
+            (u0, y0), rows = slopes
+            u0[j], y0[j] = of_u[j][0], of_y[j][0]
+            # Rows are linear in the signals; their intervals are those of the log.
+            own = rows_of(Signals(signals.h, of_u[j], of_y[j]))
+            for all_of, one in zip(
+                jax.tree.leaves(rows), jax.tree.leaves(own), strict=True
+            ):
+                all_of[j] = one
+            rows.h[j] = 0.0
+    return found, slopes
 
 
 @eqx.filter_jit

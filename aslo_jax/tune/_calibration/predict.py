@@ -32,21 +32,27 @@ REGULAR = 1e6  # of a condition number, at most
 
 class Turn(NamedTuple):
     """About an interval, `u`: the slope of the inputs from the interval before to the one
-    after (their units per second), and `y`: that of the slope of the outputs (their units
-    per second squared)."""
+    after (their units per second), shape `(m,)`, and `y`: that of the slope of the outputs
+    (their units per second squared), shape `(p,)`; or about many."""
 
-    u: Float[Array, "*i m"]
-    y: Float[Array, "*i p"]
+    u: Any
+    y: Any
 
 
-def turns(h: Float[Array, " i"], u: Float[Array, "N m"], y: Float[Array, "N p"]) -> Turn:
+def turns(
+    h: Float[Array | np.ndarray, " i"],
+    u: Float[Array | np.ndarray, "N m"],
+    y: Float[Array | np.ndarray, "N p"],
+) -> Turn:
     """Of every interval of a log, shapes `(N - 1, m)` and `(N - 1, p)`."""
 
+    xp = np if isinstance(u, np.ndarray) else jnp
+
     def across(x):
-        ends = jnp.concatenate([x[:1], x, x[-1:]])
+        ends = xp.concatenate([x[:1], x, x[-1:]])
         return ends[2:] - ends[:-2]
 
-    width = jnp.concatenate([h[:1], h, h[-1:]])
+    width = xp.concatenate([h[:1], h, h[-1:]])
     width = (0.5 * (width[2:] + width[:-2]) + width[1:-1])[:, None]
     return Turn(across(u[:-1]) / width, across((y[1:] - y[:-1]) / h[:, None]) / width)
 

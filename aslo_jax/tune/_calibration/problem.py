@@ -16,7 +16,7 @@ from ..._replay import replay
 from ...observers import Unwrapped, VelocityObserver
 from ...plants import AbstractMechanicalSystem
 from . import start
-from .imperfections import sizes_of
+from .imperfections import seen, sizes_of
 from .parameters import Parameters
 from .predict import (
     AbstractPrediction,
@@ -27,6 +27,7 @@ from .predict import (
     relations_of,
     residual,
 )
+from .relative import Observers, trusted
 from .whiten import Signals
 
 HELD = 0.5  # of inputs, as far as one knows, and how unsure that is: held or smooth
@@ -117,11 +118,6 @@ def predicted(
 
 # What runs once is compiled as a whole: operation by operation XLA makes a program of each.
 @eqx.filter_jit
-def _corrected(recorded, signals):
-    return recorded.imperfections(signals)
-
-
-@eqx.filter_jit
 def _gaps(relation, x, u, y):
     return jax.vmap(lambda x, u, y: residual(relation(u, y), x)[0])(x, u, y)
 
@@ -203,7 +199,7 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
     whole = Signals(np.diff(t), u, y)
     if cutoff is None:
         cutoff = start.typical_cutoff(relations, whole)
-    observers = start.Observers(cutoff)
+    observers = Observers(cutoff)
     sizes = tuple(term.z.shape[0] + rate for term, rate in zip(terms, rates, strict=True))
     at_once = len(relations) == 1 and answers(relations[0], u, y)
     form = Form(sizes=sizes, rates=rates, opened=opened, answers=at_once)
@@ -220,7 +216,7 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
     q = start.first_guess(parameters, observers, t, whole, opened, tested)
     recorded = parameters.place(q)
     found = observers(recorded.model)
-    _, u, y = (np.asarray(x) for x in _corrected(recorded, whole))
+    _, u, y = seen(parameters, whole, q)[0]
     estimates = [replay(o, t, u, y, engine="auto") for o in found]
     weights, certified = _certified(estimates, found, t)
     if certified.sum() < 0.1 * t.size:
@@ -248,10 +244,7 @@ def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):
 
 def _certified(estimates, observers, t):
     """The weights of the rows of each estimate, and the rows that all of them certify."""
-    weights = [
-        np.asarray(start.trusted(e, jnp.asarray(t), o))
-        for e, o in zip(estimates, observers, strict=True)
-    ]
+    weights = [trusted(e, t, o) for e, o in zip(estimates, observers, strict=True)]
     certified = np.all([w > 0 for w in weights], axis=0)
     if not certified.any():
         raise Unobservable(

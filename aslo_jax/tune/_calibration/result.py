@@ -20,6 +20,7 @@ NEGLIGIBLE = 0.1  # a share of a direction that is not worth its name
 DOUBTFUL = 0.3  # of a correlation
 UNEXPLAINED = 5e-3  # of the derivatives' rms, by which they are disturbed
 HARMLESS = 0.3  # of a half width, by which an error of the record may move a parameter
+TINY = 1e-4  # of a parameter: so small a move is known to first order, and only widens
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,15 +105,31 @@ class Calibration:
         low, high = self.interval[name]
         return max(high - self.estimate[name], self.estimate[name] - low)
 
+    def beside(self, name: str, value: float) -> "Calibration":
+        """With one more number, that is zero in a right record and has no interval."""
+        nan = float("nan")
+        changed: dict[str, Any] = {
+            "before": self.before | {name: 0.0},
+            "estimate": self.estimate | {name: value},
+            "after": self.after | {name: nan},
+            "interval": self.interval | {name: (nan, nan)},
+            "allowed": self.allowed | {name: ()},
+            "profiles": self.profiles | {name: (np.array([value]), np.zeros(1))},
+        }
+        return dataclasses.replace(self, **changed)
+
     def rows(self) -> list[tuple[str, str, str, str]]:
-        """A table: parameter, before, after, and its interval or why there is none."""
+        """A table: parameter, before, after, and its interval, with the errors of the
+        record that it allows for, or why there is none."""
         found = []
         for name, before in self.before.items():
             value, half = self.estimate[name], self.half_width(name)
             size = f"+- {half:.2g}"
             if value and np.isfinite(half):
                 size += f" ({100 * half / abs(value):.2g} %)"
+            allowed = named(self.allowed[name])
             if self.determined(name):
+                size += f"; allows for {allowed}" if allowed else ""
                 found.append((name, f"{before:.6g}", f"{value:.6g}", size))
                 continue
             along = [str(d) for d in self.undetermined if name in d.parts]
@@ -121,8 +138,9 @@ class Calibration:
                 why = f"about {value:.3g}, without an interval: not trusted"
             elif np.isfinite(half):
                 why = f"about {value:.3g} {size}: too wide, not determined{flat}"
-                if self.allowed[name]:
-                    why += f" ({named(self.allowed[name])} not ruled out)"
+                why += f" ({allowed} not ruled out)" if allowed else ""
+            elif self.profiles[name][0].size == 1:
+                why = f"about {value:.3g}, without an interval"
             else:
                 why = f"not determined by this record{flat}"
             found.append((name, f"{before:.6g}", "", why))
@@ -181,7 +199,8 @@ def summed_up(
     moved = lambda finding, j: abs(finding.shift[j] * _slope(parameters, v, j))
 
     def matters(finding: Finding) -> bool:
-        return any(not moved(finding, j) < HARMLESS * half[n] for j, n in enumerate(names))
+        most = [max(HARMLESS * half[n], TINY * abs(estimate[n])) for n in names]
+        return any(not moved(finding, j) < most[j] for j in range(k))
 
     blamed = [finding for finding in findings if matters(finding)]
     harmless = [finding for finding in findings if not matters(finding)]

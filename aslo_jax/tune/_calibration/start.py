@@ -5,47 +5,18 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from ..._checks import real
-from ..._filters import LowPass
-from ..._guard import Guard
-from ..._module import Module
-from ..._relations import Quadratic, Rate
-from ..._replay import replay
-from ...observers import AlgebraicObserver
 from .parameters import Parameters
-from .predict import Relation, observers_of, relations_of, residual
+from .predict import Relation
+from .relative import Observers, Relative
 from .whiten import Signals
 
-# Of the relative residual of an algebraic estimate over one time constant of its filter,
-# and of the parameters' starting values: an estimate of noise and transients, and a guess.
-# They matter where the record determines little, and there they keep the search at home.
-RESIDUAL, PRIOR = 0.01, 0.3
-THRESHOLD = 1e-3  # of the guard of an observer that is not given
 STARTS = 2  # of several, that are followed
 CLEAR = 5.0  # times better is no chance
 UNSURE = 3.0  # of half the sum of squares, below which a fit leaves nothing to ask
-TIME_CONSTANTS = 2.0  # of the filter, after which an estimate is used
-
-
-class Observers(Module):
-    """The algebraic observers in an observer, or those of a plant's relations with `cutoff`
-    (rad/s)."""
-
-    cutoff: Float[Array, ""] = eqx.field(converter=real)
-
-    def __call__(self, model: Any) -> tuple[AlgebraicObserver, ...]:
-        found = observers_of(model)
-        if found is None:
-            filter, guard = LowPass(self.cutoff), Guard(THRESHOLD)
-            relations = relations_of(model) or ()
-            found = tuple(AlgebraicObserver(r, filter, guard=guard) for r in relations)
-        return found
 
 
 def typical_cutoff(relations: tuple[Relation, ...], signals: Signals) -> float:
@@ -68,19 +39,6 @@ def typical_cutoff(relations: tuple[Relation, ...], signals: Signals) -> float:
     return max(float(max(rates)) / np.sqrt(3.0), 5.0)
 
 
-@eqx.filter_jit
-def trusted(estimate: Any, t: Float[Array, " N"], observer: AlgebraicObserver) -> Array:
-    """The weight of every row of an estimate, of sum one."""
-    weight = jnp.where(estimate.coasting, 0.0, estimate.certificate)
-    return weight * (t > t[0] + settling(observer))
-
-
-def settling(observer: AlgebraicObserver) -> Array:
-    """The time (s) after which an estimate is used."""
-    filter = observer.filter
-    return TIME_CONSTANTS / filter.rate if isinstance(filter, LowPass) else jnp.zeros(())
-
-
 def first_guess(
     parameters: Parameters,
     observers: Observers,
@@ -94,13 +52,11 @@ def first_guess(
 
     Rate relations of one unknown hold by construction: they start where they are."""
     solved, cost = _solved(
-        _Relative(parameters, observers, jnp.asarray(t), signals, open_constants), tested
+        Relative(parameters, observers, t, signals, open_constants, tested)
     )
     h, u, y = signals
-    turned = _Relative(
-        parameters, observers, jnp.asarray(t), Signals(h, u, -y), open_constants
-    )
-    if cost > UNSURE and _solved(turned, tested)[1] < cost / CLEAR:
+    turned = Relative(parameters, observers, t, Signals(h, u, -y), open_constants, tested)
+    if cost > UNSURE and _solved(turned)[1] < cost / CLEAR:
         raise ValueError(
             "No calibration: with the sign of all outputs turned the log fits the "
             f"machine at least {CLEAR:g} times better; are currents counted out of it? "
@@ -110,16 +66,16 @@ def first_guess(
     return solved
 
 
-def _solved(cost: "_Relative", tested: int) -> tuple[Float[np.ndarray, " k"], float]:
+def _solved(cost: Relative) -> tuple[Float[np.ndarray, " k"], float]:
     """The parameters for which the `cost` is least, and it, from the best of several
     starts, a factor of two apart."""
     from scipy.optimize import least_squares  # heavy to import
 
-    k = cost.parameters.value.size - tested
+    k = cost.parameters.value.size - cost.tested
     signed = np.array(cost.parameters.signed)[:k]
     steps = [np.log(2.0) * np.eye(k)[j] * s for j in range(k) for s in (1, -1)]
     starts = [np.zeros(k), *(s for s in steps if not signed[np.argmax(np.abs(s))])]
-    rows, slopes = paired(lambda q: _rows(cost, q, tested))
+    rows, slopes = paired(cost)
     costs = [float(np.sum(rows(q) ** 2)) for q in starts]
     others = sorted(range(1, len(starts)), key=costs.__getitem__)[: STARTS - 1]
 
@@ -138,7 +94,7 @@ def _solved(cost: "_Relative", tested: int) -> tuple[Float[np.ndarray, " k"], fl
         # What noise makes of the cost has minima of its own: those at home come first.
         if found.cost < best.cost / 2:
             best = found
-    return np.concatenate([best.x, np.zeros(tested)]), float(best.cost)
+    return np.concatenate([best.x, np.zeros(cost.tested)]), float(best.cost)
 
 
 def paired(evaluate: Callable[[np.ndarray], Any]) -> tuple[Callable, Callable]:
@@ -150,51 +106,3 @@ def paired(evaluate: Callable[[np.ndarray], Any]) -> tuple[Callable, Callable]:
         return tuple(np.asarray(part) for part in evaluate(np.frombuffer(bytes_of_x)))
 
     return (lambda x: at(x.tobytes())[0]), (lambda x: at(x.tobytes())[1])
-
-
-class _Relative(Module):
-    """The relative residuals of the algebraic estimates, over parameters `q`."""
-
-    parameters: Parameters
-    observers: Observers
-    t: Float[Array, " N"]
-    signals: Signals
-    opened: tuple[bool, ...] = eqx.field(static=True)
-
-    def __call__(self, q):
-        recorded = self.parameters.place(q)
-        t, (_, u, y) = self.t, recorded.imperfections(self.signals)
-        found = [q / PRIOR]
-        for observer, is_open in zip(
-            self.observers(recorded.model), self.opened, strict=True
-        ):
-            terms = jax.eval_shape(observer.relation, u[0], y[0])
-            if isinstance(terms, Rate):
-                continue
-            estimate = replay(observer, t, u, y)
-            gap, slope = jax.vmap(
-                lambda x, u, y, o=observer: residual(o.relation(u, y), x)
-            )(estimate.value, u, y)
-            w = jax.lax.stop_gradient(trusted(estimate, t, observer))
-            w = w / jnp.maximum(jnp.sum(w), 1e-300)
-            # Relative, so that nothing is gained by a state that shrinks.
-            size = jnp.sum(w * jnp.sum(slope**2, axis=1))
-            if isinstance(terms, Quadratic):
-                first: Any = observer.relation(u[0], y[0])
-                n = slope.shape[1]
-                Q = jax.vmap(first.times)(jnp.eye(n))
-                size = size / jnp.sqrt(jnp.sum(Q**2) / n)
-            relative = (gap - is_open * jnp.sum(w * gap)) / size
-            windows = (t[-1] - t[0]) / jnp.maximum(settling(observer), t[1] - t[0])
-            found.append(jnp.sqrt(w * windows) * relative / RESIDUAL)
-        return jnp.concatenate(found)
-
-
-@eqx.filter_jit
-def _rows(cost, q, tested):
-    def rows(q):
-        found = cost(jnp.concatenate([q, jnp.zeros(tested)]))
-        return found, found
-
-    slopes, found = jax.jacfwd(rows, has_aux=True)(q)
-    return found, slopes
