@@ -78,7 +78,9 @@ def trusted(estimate: Any, t: Float[Array, " N"], observer: AlgebraicObserver) -
 def settling(observer: AlgebraicObserver) -> Array:
     """The time (s) after which an estimate is used."""
     filter = observer.filter
-    return TIME_CONSTANTS / filter.rate if isinstance(filter, LowPass) else jnp.zeros(())
+    if not isinstance(filter, LowPass):
+        return jnp.zeros(())
+    return TIME_CONSTANTS / filter.slowest
 
 
 def first_guess(
