@@ -14,6 +14,7 @@ from ._realise import Pass
 from ._relations import Row, contract, settled, swap
 from ._small import safe_reciprocal, solve_definite, solve_rows
 from ._typing import RealArray
+from ._varying import Varying
 
 __all__ = ["AbstractCompletion", "FilterBank", "LeastSquares", "Repeat"]
 
@@ -77,7 +78,7 @@ class FilterBank(AbstractCompletion):
                 f"state of {n} entries, but got {len(self.filters)}."
             )
         bank = enumerate(self.filters, start=1)
-        return _solve([row] + [swap(F.using(f).scope(f"bank{k}"), row) for k, f in bank])
+        return _solve([row] + [swap(F.scope(f"bank{k}").using(f), row) for k, f in bank])
 
 
 class LeastSquares(AbstractCompletion):
@@ -97,7 +98,7 @@ class LeastSquares(AbstractCompletion):
 
     def __call__(self, F: Pass, row: Row) -> tuple[RealArray, RealArray]:
         forgetting = F.filter if self.forgetting is None else self.forgetting
-        if not isinstance(forgetting, LowPass):
+        if not isinstance(forgetting, LowPass | Varying):
             raise ValueError(
                 "Argument `forgetting` must be a `LowPass` when the observer's filter is "
                 f"not one, but got {type(forgetting).__name__}: any other filter may make "
@@ -117,12 +118,13 @@ class LeastSquares(AbstractCompletion):
                 return rr - A.T @ M - M @ A
 
             if row.constant and not F.exact:
-                M = settled(lambda M: F.filter.flow(M, drive(M)), rr)
+                still = settled(lambda M: F.filter.flow(M, drive(M)), rr)
+                M = F.standing(drive, still, "M")
             else:
                 M = F.hidden(drive, "M", jnp.zeros_like(rr))
             Mz = contract(M, z)
             v = F.hidden(lambda v: rb + Mz - A.T @ v, "v", jnp.zeros_like(rb))
-            scale = row.scale**2
+            M, v, scale = F.output(M), F.output(v), row.scale**2
         return solve_definite(M, v, scale)
 
 

@@ -1,25 +1,25 @@
-"""Filters: the linear laws that an observer's equations are written in.
+"""Filters: the linear laws that an observer's equations are written in."""
 
-A filter is used in state-space form, `X' = A X + v` with output `C X`, because the
-Swapping Lemma needs its inner state `X` and not only its output. `v` is either an
-injected signal, `v = B s`, or a product that the lemma asks for. The state of a
-filtered signal of shape `(...)` has shape `(order, ...)`; a [`LowPass`][] drops the
-axis of length one.
-"""
-
-import abc
-import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ._checks import kind, optional_real, positive, real, stable
-from ._module import Module
+from ._checks import optional_real, positive, real, stable
+from ._laws import (
+    AbstractFilter,
+    AbstractLaw,
+    Hold,
+    Integrator,
+    Remembering,
+    check_filter,
+    scalar_hold,
+)
 from ._small import exponential_integrals
 from ._typing import PyTree, RealArray
+from ._varying import AbstractSchedule, Schedule
 
 __all__ = [
     "AbstractFilter",
@@ -35,125 +35,33 @@ __all__ = [
 ]
 
 
-class AbstractLaw(Module):
-    """How one named state evolves, in continuous and in sampled time."""
-
-    @abc.abstractmethod
-    def flow(self, X: PyTree, v: PyTree) -> PyTree:
-        """The derivative `X'` at state `X` and drive `v` (units of `X` per second)."""
-
-    @abc.abstractmethod
-    def discretise(self, h: Float[Array, ""] | float) -> PyTree:
-        """What `advance` needs for an interval of `h` seconds; computed once."""
-
-    @abc.abstractmethod
-    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
-        """The state after the interval, the drive being `v0` at its left end and `v1`
-        at its right end."""
-
-
-class Integrator(AbstractLaw):
-    """`X' = v`: any state that is not a filter. Sampled by the trapezoidal rule, which
-    is Heun's method when `v` depends on `X`."""
-
-    def flow(self, X: PyTree, v: PyTree) -> PyTree:
-        del X
-        return v
-
-    def discretise(self, h: RealArray | float) -> PyTree:
-        return h
-
-    def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
-        # Time may be double where the state is single; a state keeps its precision.
-        half = jnp.asarray(0.5 * coefficients, jnp.result_type(X))
-        return X + half * (v0 + v1)
-
-
-class AbstractFilter(AbstractLaw):
-    """A proper, stable, linear time-invariant filter `F(s) = D + C (sI - A)^-1 B`.
-
-    `advance` is exact for a drive that is linear over the interval (first-order hold),
-    and so for a held drive too.
-    """
-
-    @property
-    @abc.abstractmethod
-    def strictly_proper(self) -> bool:
-        """Whether `D = 0`, so that `pF` is proper."""
-
-    @abc.abstractmethod
-    def inject(self, s: Float[Array, "..."] | float) -> Array:
-        """`B s`: the drive of a filtered signal, shape `(order, ...)`."""
-
-    @abc.abstractmethod
-    def output(self, X: Array) -> Float[Array, "..."]:
-        """`C X`: the filtered signal without feedthrough."""
-
-    @abc.abstractmethod
-    def feedthrough(self, s: Float[Array, "..."] | float) -> Float[Array, "..."] | float:
-        """`D s`."""
-
-    @abc.abstractmethod
-    def equilibrium(self, s: Float[Array, "..."] | float) -> Array:
-        """`-A^-1 B s`: the state at which a constant signal `s` has settled."""
-
-
-def check_filter(filter: Any) -> None:
-    """Refuse what is no filter, a rate for instance."""
-    kind("filter", filter, AbstractFilter, hint="a filter such as `LowPass(20.0)`")
-
-
-class _Hold(NamedTuple):
-    """First-order hold: `X1 = decay X0 + left v0 + right v1`."""
-
-    decay: Array
-    left: Array
-    right: Array
-
-
-class Remembering(NamedTuple):
-    """The `hold` of a filter, and what it remembers after an interval, each of shape `()`:
-    its `slowest` part by itself, and `whole` by all its time constants together."""
-
-    hold: _Hold
-    slowest: Array
-    whole: Array
-
-
 SQUARINGS = 30  # the N-th root of a constant is then 1 but for some parts in a billion
 
 
-def _scalar_hold(rate: Array, h: Array) -> _Hold:
-    # With v = rate h and p = (1 - exp(-v))/v the weights are h (p - a)/v and
-    # h (1 - p)/v. Both lose their digits to cancellation as v -> 0, hence the series of
-    # phi2 = (1 - p)/v below v = 1/2, whose first omitted term is below 1e-17.
-    v = rate * h
-    small = v < 0.5
-    v_small = jnp.where(small, v, 0.0)
-    phi2 = jnp.zeros_like(v_small)
-    for k in reversed(range(14)):
-        phi2 = 1.0 / math.factorial(k + 2) - v_small * phi2
-    phi1 = 1.0 - v_small * phi2
-    v_large = jnp.where(small, 1.0, v)
-    p = -jnp.expm1(-v_large) / v_large
-    left = jnp.where(small, phi1 - phi2, (p - jnp.exp(-v_large)) / v_large)
-    right = jnp.where(small, phi2, (1.0 - p) / v_large)
-    return _Hold(jnp.exp(-v), h * left, h * right)
+def _rate(x: Any) -> Any:
+    if isinstance(x, AbstractSchedule) or type(x) is object:
+        return x
+    return Schedule(x) if callable(x) else real(x, "rate")
 
 
 class LowPass(AbstractFilter):
-    """`F(s) = rate / (s + rate)`, the filter of the paper (eq. fil), `rate` in rad/s.
+    """`F(s) = rate / (s + rate)`, the filter of the paper (eq. fil), `rate` in rad/s: a
+    number, or a schedule of a rate that varies, or a function of the time (s) and of the
+    signals u and y that gives one ([`Schedule`][aslo_jax.schedules.Schedule]).
 
-    Its state is the filtered signal itself.
+    Its state is the filtered signal itself; that of a rate that varies is the signal over
+    the rate.
 
-    Source: theory, sections 2 and 8; paper, eq. (fil).
+    Source: theory, sections 2, 8 and 12; paper, eq. (fil).
 
-    **Raises:** `ValueError` for a `rate` that is not one positive number.
+    **Raises:** `ValueError` for a `rate` that is neither a positive number nor a schedule.
     """
 
-    rate: Float[Array, ""] = eqx.field(converter=real)
+    rate: Float[Array, ""] | AbstractSchedule = eqx.field(converter=_rate)
 
     def __check_init__(self) -> None:
+        if isinstance(self.rate, AbstractSchedule):
+            return
         positive("rate", self.rate, "rad/s")
         if jnp.ndim(self.rate) and isinstance(self.rate, jax.Array):
             raise ValueError(
@@ -163,11 +71,35 @@ class LowPass(AbstractFilter):
             )
 
     @property
+    def constant(self) -> RealArray:
+        """The rate where it is a number (rad/s).
+
+        **Raises:** `ValueError` where it varies."""
+        if isinstance(self.rate, AbstractSchedule):
+            raise ValueError(
+                "Argument `filter` must have a constant rate here, but its rate is a "
+                f"`{type(self.rate).__name__}`, which only a pass knows; give "
+                "`LowPass(number)`."
+            )
+        return self.rate
+
+    @property
+    def slowest(self) -> RealArray:
+        """The rate, or the least one of a schedule (rad/s)."""
+        if isinstance(self.rate, AbstractSchedule):
+            return self.rate.limits[0]
+        return self.rate
+
+    @property
+    def varies(self) -> bool:
+        return isinstance(self.rate, AbstractSchedule)
+
+    @property
     def strictly_proper(self) -> bool:
         return True
 
     def inject(self, s: RealArray | float) -> RealArray:
-        return self.rate * s
+        return self.constant * s
 
     def output(self, X: RealArray) -> RealArray:
         return X
@@ -176,13 +108,13 @@ class LowPass(AbstractFilter):
         return 0.0
 
     def equilibrium(self, s: RealArray | float) -> RealArray:
-        return jnp.asarray(s, jnp.result_type(s, self.rate))
+        return jnp.asarray(s, jnp.result_type(s, self.constant))
 
     def flow(self, X: PyTree, v: PyTree) -> PyTree:
-        return v - self.rate * X
+        return v - self.constant * X
 
     def discretise(self, h: RealArray | float) -> PyTree:
-        return _scalar_hold(self.rate, jnp.asarray(h, self.rate.dtype))
+        return scalar_hold(self.constant, jnp.asarray(h, self.constant.dtype))
 
     def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         decay, left, right = coefficients
@@ -204,7 +136,7 @@ class LinearSystem(AbstractLaw):
         h = jnp.asarray(h, self.A.dtype)
         decay, phi1, phi2 = exponential_integrals(self.A * h)
         right = h * phi2
-        return _Hold(decay, h * phi1 - right, right)
+        return Hold(decay, h * phi1 - right, right)
 
     def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         decay, left, right = coefficients

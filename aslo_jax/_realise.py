@@ -5,198 +5,37 @@ the states ([`Start`][]), give their derivatives ([`Flow`][]), or advance them o
 sampling interval ([`Advance`][]). States are addressed by name.
 """
 
-import abc
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ._filters import AbstractFilter, AbstractLaw, Integrator
+from ._filters import AbstractFilter, AbstractLaw, Integrator, LowPass
+from ._realisations import (
+    AbstractRealisation,
+    Advance,
+    Drive,
+    Flow,
+    Interval,
+    Start,
+    States,
+    state_of,
+)
 from ._typing import FilterStart, PyTree
+from ._varying import AbstractSchedule
 
-__all__ = ["AbstractRealisation", "Advance", "Drive", "Flow", "Pass", "Start", "States"]
-
-States = dict[str, Any]
-
-
-class Interval(NamedTuple):
-    """What a pass over one end of a sampling interval knows of it, where samples may be
-    missing.
-
-    - `missing`: whether one is, shape `()`;
-    - `weight`: of what is injected over it, shape `()`: 1, or 0 where a sample is missing,
-      or less than 1 where samples come back;
-    - `before`: that of the interval before; `None` at the right end;
-    - `blind`: whether the input is missing, shape `()`, and not the output alone.
-    """
-
-    missing: Bool[Array, ""]
-    weight: Float[Array, ""]
-    before: Float[Array, ""] | None
-    blind: Bool[Array, ""]
-
-
-Drive = PyTree | Callable[[PyTree], PyTree]
-
-
-def state_of(states: States, name: str) -> PyTree:
-    if name not in states:
-        raise ValueError(
-            f"Argument `state` must be a state of this observer, which has `{name}`, but "
-            f"it holds {sorted(states)}; begin with `init`, or restore the right one."
-        )
-    return states[name]
-
-
-def _at(drive: Drive, X: PyTree) -> PyTree:
-    return drive(X) if callable(drive) else drive
-
-
-class AbstractRealisation(abc.ABC):
-    """What one pass over the equations does with each state. Lives for one pass only.
-
-    **Raises:** `ValueError` where two states of a pass have one name.
-    """
-
-    def __init__(self) -> None:
-        self._names: set[str] = set()
-        self._counts: dict[str, int] = {}
-
-    @abc.abstractmethod
-    def evolve(self, name: str, law: AbstractLaw, drive: Drive, start: PyTree) -> PyTree:
-        """The value, now, of the state `name` that follows `law` under `drive`."""
-
-    @abc.abstractmethod
-    def loop(
-        self, name: str, law: AbstractLaw, start: PyTree
-    ) -> tuple[PyTree, Callable[[Drive], PyTree]]:
-        """[`evolve`][] in two parts, for a drive that needs the state by way of others: the
-        value, now, and `close(drive)`, which returns the final value. When sampled, the
-        first value is the predictor of Heun's method and the final one the corrected."""
-
-    def shift(self, name: str, by: Array) -> None:
-        """Add to the state `name` before the interval, at whose left end this pass is."""
-        raise NotImplementedError(f"`{type(self).__name__}` has no interval to begin.")
-
-    def claim(self, scope: str, name: str | None) -> str:
-        """The full name of a new state: unique in the pass, the same in every pass."""
-        if name is None:
-            self._counts[scope] = self._counts.get(scope, 0) + 1
-            name = f"state{self._counts[scope]}"
-        full = scope + name
-        if full in self._names:
-            raise ValueError(
-                f"Argument `name` must be unique, but the state `{full}` is defined twice; "
-                "give each piece a scope of its own, `F.scope(...)`."
-            )
-        self._names.add(full)
-        return full
-
-
-class Start(AbstractRealisation):
-    """Allocates the states: their names, shapes and first values."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.states: States = {}
-        self.laws: dict[str, AbstractLaw] = {}
-
-    def evolve(self, name: str, law: AbstractLaw, drive: Drive, start: PyTree) -> PyTree:
-        v = _at(drive, start) if start is not None else drive
-        if start is None:
-            start = jax.tree.map(jnp.zeros_like, v)
-        self.states[name] = start
-        self.laws[name] = law
-        return start
-
-    def loop(
-        self, name: str, law: AbstractLaw, start: PyTree
-    ) -> tuple[PyTree, Callable[[Drive], PyTree]]:
-        def close(drive):
-            return self.evolve(name, law, drive, start)
-
-        return start, close
-
-    def discretise(self, h: Float[Array, ""] | float) -> Mapping[str, PyTree]:
-        """The coefficients of every law for intervals of `h` seconds, by state name."""
-        distinct = {id(law): law for law in self.laws.values()}
-        coefficients = {i: law.discretise(h) for i, law in distinct.items()}
-        return {name: coefficients[id(law)] for name, law in self.laws.items()}
-
-
-class Flow(AbstractRealisation):
-    """Reads the `states`, by name, and records every derivative and every drive."""
-
-    def __init__(self, states: States) -> None:
-        super().__init__()
-        self.states = states
-        self.rates: States = {}
-        self.drives: States = {}
-
-    def evolve(self, name: str, law: AbstractLaw, drive: Drive, start: PyTree) -> PyTree:
-        X = state_of(self.states, name)
-        v = _at(drive, X)
-        self.rates[name] = law.flow(X, v)
-        self.drives[name] = v
-        return X
-
-    def shift(self, name: Any, by: Any) -> Any:
-        self.states = {**self.states, name: state_of(self.states, name) + by}
-
-    def loop(
-        self, name: str, law: AbstractLaw, start: PyTree
-    ) -> tuple[PyTree, Callable[[Drive], PyTree]]:
-        def close(drive):
-            return self.evolve(name, law, drive, start)
-
-        return state_of(self.states, name), close
-
-
-class Advance(AbstractRealisation):
-    """Advances the states over an interval, evaluated at its right end, inner ones first.
-
-    - `states`: at the left end, by name;
-    - `coefficients`: of each law for the interval, as [`Start.discretise`][] gives them.
-
-    `drives` are those of the left end. Afterwards `advanced` holds the new states and
-    `drives` those of the right end, which are the left ones of an adjacent interval with
-    the same input.
-    """
-
-    def __init__(
-        self, states: States, drives: States, coefficients: Mapping[str, PyTree]
-    ) -> None:
-        super().__init__()
-        self.states = states
-        self.left = drives
-        self.coefficients = coefficients
-        self.advanced: States = {}
-        self.drives: States = {}
-
-    def evolve(self, name: str, law: AbstractLaw, drive: Drive, start: PyTree) -> PyTree:
-        if callable(drive):
-            return self.loop(name, law, start)[1](drive)
-        return self._finish(name, law, drive, drive)
-
-    def loop(
-        self, name: str, law: AbstractLaw, start: PyTree
-    ) -> tuple[PyTree, Callable[[Drive], PyTree]]:
-        left = self.left[name]
-        predicted = law.advance(self.states[name], left, left, self.coefficients[name])
-
-        def close(drive):
-            return self._finish(name, law, drive, _at(drive, predicted))
-
-        return predicted, close
-
-    def _finish(self, name: str, law: AbstractLaw, drive: Drive, right: PyTree) -> PyTree:
-        X, left = self.states[name], self.left[name]
-        advanced = law.advance(X, left, right, self.coefficients[name])
-        self.advanced[name] = advanced
-        self.drives[name] = _at(drive, advanced)
-        return advanced
+__all__ = [
+    "AbstractRealisation",
+    "Advance",
+    "Drive",
+    "Flow",
+    "Interval",
+    "Pass",
+    "Start",
+    "States",
+    "state_of",
+]
 
 
 class Pass:
@@ -210,6 +49,8 @@ class Pass:
 
     - `realisation`: what is done with each state, a [`Start`][], [`Flow`][] or
       [`Advance`][]; `scope`: what the names of states begin with;
+    - `signals`: u and y, and `closing`, what waits for the estimate of them, where the
+      rate of a filter varies;
     - `interval`: what the pass knows of samples that are missing, `None` where none can
       be; `doubted`, shape `()`: whether its measurements are not to be trusted.
 
@@ -228,6 +69,8 @@ class Pass:
         scope: str = "",
         interval: Interval | None = None,
         doubted: Bool[Array, ""] | None = None,
+        signals: tuple[PyTree, PyTree] | None = None,
+        closing: list[Callable[[Any], object]] | None = None,
     ) -> None:
         self._realisation = realisation
         self._filter = filter
@@ -235,6 +78,8 @@ class Pass:
         self._scope = scope
         self._interval = interval
         self._doubted = doubted
+        self._signals = signals
+        self._closing = [] if closing is None else closing
 
     @property
     def filter(self) -> AbstractFilter:
@@ -248,9 +93,32 @@ class Pass:
         return self._start == "exact"
 
     def using(self, filter: AbstractFilter, start: FilterStart | None = None) -> "Pass":
-        """The same pass with `filter` bound to it."""
+        """The same pass with `filter` bound to it: as it is now, where its rate varies."""
         mode = self._start if start is None else start
+        if isinstance(filter, LowPass) and isinstance(filter.rate, AbstractSchedule):
+            filter = self._paced(filter.rate)
         return self._with(filter=filter, start=mode)
+
+    def _paced(self, schedule: AbstractSchedule) -> AbstractFilter:
+        if self._signals is None:
+            raise ValueError(
+                "Argument `filter` has a rate that varies, which needs the signals of the "
+                "pass; call the observer, not its `equations`, or use `F.observing(u, y)`."
+            )
+        filter, close = schedule.paced(self.scope("rate"), *self._signals)
+        if close is not None:
+            self._closing.append(close)
+        return filter
+
+    def observing(self, u: PyTree, y: PyTree) -> "Pass":
+        """The same pass for an observer of the input `u` and the measurement `y`, of which
+        rates that vary are functions; [`Pass.close`][] ends it."""
+        return self._with(signals=(u, y), closing=[])
+
+    def close(self, estimate: Any) -> None:
+        """Tell the `estimate` to the rates that depend on it."""
+        for each in self._closing:
+            each(estimate)
 
     def scope(self, name: str) -> "Pass":
         """The same pass with the names of its states nested under `name`."""
@@ -270,6 +138,8 @@ class Pass:
             "scope": self._scope,
             "interval": self._interval,
             "doubted": self._doubted,
+            "signals": self._signals,
+            "closing": self._closing,
         }
         return Pass(self._realisation, **(kept | changed))
 
@@ -360,7 +230,12 @@ class Pass:
     ) -> Array:
         """`X' = A X + drive` from zero, or from `start`; a drive that depends on X needs
         one."""
-        return self.evolve(self.filter, drive, start, name)
+        return self.evolve(*self.filter.following(drive, start), name)
+
+    def standing(self, drive: Drive, start: Array, name: str | None = None) -> Array:
+        """[`hidden`][] from the `start` at which it has settled under a `drive` that is
+        constant: that value, unless the filter varies."""
+        return self.hidden(drive, name, start) if self.filter.varies else start
 
     def __call__(self, s: Array, name: str | None = None) -> Array:
         """`F[s]`, from zero."""
@@ -369,7 +244,7 @@ class Pass:
     def settling(self, name: str | None = None) -> Array:
         """The hidden state of F[1]: from zero, or settled with the paper's start."""
         if not self.exact:
-            return self.filter.equilibrium(1.0)
+            return self.standing(self.inject(1.0), self.filter.equilibrium(1.0), name)
         return self.hidden(self.inject(1.0), name)
 
     def one(self, name: str | None = None) -> Array:
@@ -385,12 +260,13 @@ class Pass:
                 "of a filter with feedthrough is improper; use `LowPass` or a "
                 "`LinearFilter` with `D=None`."
             )
-        v = self.filter.inject(s)
+        filter = self.filter.derivative
+        v = filter.inject(s)
         settled = self.exact if settled is None else settled
-        start = self.filter.equilibrium(s) if settled else jnp.zeros_like(v)
+        start = filter.equilibrium(s) if settled else jnp.zeros_like(v)
         # While samples are missing the state is kept less its equilibrium, so that F[s'] is
         # A X and decays, and s goes on from where it comes back.
         v = v if self._interval is None else self.weight * v
-        full = self.apart(name, lambda: self.filter.equilibrium(s))
-        X = self.continued(full, self.filter, v, start)
-        return self.output(self.filter.flow(X, v))
+        full = self.apart(name, lambda: filter.equilibrium(s))
+        X = self.continued(full, *filter.following(v, start))
+        return filter.output(filter.flow(X, v))

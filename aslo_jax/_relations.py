@@ -206,13 +206,11 @@ def filtered_rows(
     Constant rows are taken as settled with the paper's start.
     """
     injected = F.inject(r)
+    drive = injected if A is None else lambda X: injected - X @ A
     if constant and not F.exact:
-        if A is None:
-            return F.filter.equilibrium(r)
-        return _settled_rows(F, injected, A)
-    if A is None:
-        return F.hidden(injected, name)
-    return F.hidden(lambda X: injected - X @ A, name, jnp.zeros_like(injected))
+        still = F.filter.equilibrium(r) if A is None else _settled_rows(F, injected, A)
+        return F.standing(drive, still, name)
+    return F.hidden(drive, name, None if A is None else jnp.zeros_like(injected))
 
 
 def _size(

@@ -31,6 +31,7 @@ def replay(
     return_state: Literal[False] = False,
     max_gap: float | None = None,
     engine: Engine = "scan",
+    missing: Missing = "refuse",
 ) -> Est: ...
 
 
@@ -46,6 +47,7 @@ def replay(
     return_state: Literal[True],
     max_gap: float | None = None,
     engine: Engine = "scan",
+    missing: Missing = "refuse",
 ) -> tuple[Est, ObserverState]: ...
 
 
@@ -61,6 +63,7 @@ def replay(
     return_state: bool,
     max_gap: float | None = None,
     engine: Engine = "scan",
+    missing: Missing = "refuse",
 ) -> Est | tuple[Est, ObserverState]: ...
 
 

@@ -11,6 +11,7 @@ from motion import Prescribed, PrescribedBearing, PrescribedMechanism, Prescribe
 
 import aslo_jax as aslo
 from aslo_jax.filters import bias_rejecting, second_order, sinusoid_rejecting
+from aslo_jax.schedules import FastStart, PerSpeed
 
 MOTOR = PrescribedPMSM()
 CHAIN = aslo.plants.IntegratorChain(2).relation()
@@ -68,6 +69,7 @@ OBSERVERS = {
     "chain, bias rejecting": chain(bias_rejecting(5.0)),
     "chain, sinusoid rejecting": chain(sinusoid_rejecting(6.0, 20.0)),
     "chain, guarded": chain(aslo.LowPass(6.0), **PARTS),
+    "chain, fast start": chain(aslo.LowPass(FastStart(5.0, 60.0))),
     "chain, paper": chain(aslo.LowPass(6.0), guard=None, start="paper"),
     "chain, asymptotic": aslo.Asymptotic(chain(aslo.LowPass(6.0)), 4.0),
     "chain, asymptotic from a guess": aslo.Asymptotic(chain(FAST), 4.0, initial=[0.2]),
@@ -79,6 +81,7 @@ OBSERVERS = {
     "flux, repeat": flux(aslo.Repeat()),
     "flux, bank": flux(aslo.FilterBank([aslo.LowPass(70.0)])),
     "flux, forgetting": flux(aslo.LeastSquares(aslo.LowPass(10.0))),
+    "flux, rate by speed": aslo.AlgebraicObserver(FLUX, aslo.LowPass(PerSpeed(3.0, 10.0))),
     "flux, paper": flux(aslo.Repeat(), start="paper"),
     "flux, asymptotic": aslo.Asymptotic(flux(), 20.0),
     "joined": aslo.Joined((chain(FAST), aslo.Asymptotic(chain(FAST), 4.0))),

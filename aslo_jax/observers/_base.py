@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from .._checks import check_substeps, kind, number, positive, unlike
-from .._filters import Remembering, _Hold
+from .._laws import Hold, Remembering
 from .._module import Module
 from .._realise import Advance, Flow, Interval, Pass, Start, States, state_of
 from .._signals import check_signals
@@ -133,7 +133,10 @@ class AbstractObserver(Module, Generic[Est]):
         """[`equations`][], of signals with the shapes that they declare: what each way to
         run them calls, and what an observer calls that is made of others."""
         check_signals(self, type(self).equations, u, y)
-        return self.equations(F, u, y)
+        F = F.observing(u, y)
+        estimate = self.equations(F, u, y)
+        F.close(estimate)
+        return estimate
 
     def init(self, y: PyTree, u: PyTree | None = None) -> ObserverState:
         """The state at the first measurement `y`; where that is not finite, the observer
@@ -313,10 +316,10 @@ def named(
 def _kept(coefficients: PyTree, substeps: int) -> tuple[Any, Any] | None:
     """What the slowest filter remembers over an interval, by its slowest part and as a
     whole; `None` without a filter."""
-    is_filter = lambda x: isinstance(x, _Hold | Remembering)
+    is_filter = lambda x: isinstance(x, Hold | Remembering)
     found = jax.tree.leaves(coefficients, is_leaf=is_filter)
     parts = [(x.slowest, x.whole) for x in found if isinstance(x, Remembering)]
-    holds = [x.decay for x in found if isinstance(x, _Hold) and jnp.ndim(x.decay) == 0]
+    holds = [x.decay for x in found if isinstance(x, Hold) and jnp.ndim(x.decay) == 0]
     parts += [(decay, decay) for decay in holds]
     if not parts:
         return None

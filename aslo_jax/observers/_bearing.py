@@ -72,12 +72,13 @@ class BearingObserver(AbstractObserver):
         trust = F.trust * trust
         F = F.using(self.filter, "exact").scope("velocity")
         e, toward = F.hidden(F.inject(trust), "weight"), F.inject(trust)
-        w, w_rate = e * e, 2.0 * e * self.filter.flow(e, toward)
+        w, w_rate = e * e, 2.0 * e * F.filter.flow(e, toward)
         z = relation.acceleration(flux.value)[None]
         terms = Rate(c=w[None], s=w * q, z=z, d=-w_rate * q)
         row = terms.row(F)
         # Measured against a settled weight, so that it tells of a weight that is small.
-        row = Row(row.r, row.b, row.z, None, jnp.ones_like(row.r))
+        whole = F.filter.equilibrium(1.0) ** 2
+        row = Row(row.r, row.b, row.z, None, whole * jnp.ones_like(row.r))
         v, certificate = Repeat()(F, row)
         coasting = flux.coasting
         if self.guard is not None:

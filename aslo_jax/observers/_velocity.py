@@ -246,10 +246,10 @@ def _check_rate(
             continue
         q, decay = decay_rate(system, j, region)
         k = int(decay.argmax())
-        if not float(filter.rate) > decay[k]:
+        rate = float(filter.slowest)
+        if not rate > decay[k]:
             raise ValueError(
                 f"Argument `filter` must have a rate above the friction of q{j + 1} over "
                 f"its inertia, {decay[k]:.4g} 1/s at q = {q[k].round(3).tolist()}, where "
-                f"friction varies with position, but its rate is {float(filter.rate):.4g} "
-                "rad/s."
+                f"friction varies with position, but its rate is {rate:.4g} rad/s."
             )

@@ -66,7 +66,7 @@ def trusted(
 def settling(observer: AlgebraicObserver) -> float:
     """The time (s) after which an estimate is used."""
     filter = observer.filter
-    return TIME_CONSTANTS / float(filter.rate) if isinstance(filter, LowPass) else 0.0
+    return TIME_CONSTANTS / float(filter.slowest) if isinstance(filter, LowPass) else 0.0
 
 
 class Relative:
