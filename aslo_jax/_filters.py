@@ -41,7 +41,8 @@ SQUARINGS = 30  # the N-th root of a constant is then 1 but for some parts in a 
 def _rate(x: Any) -> Any:
     if isinstance(x, AbstractSchedule) or type(x) is object:
         return x
-    return Schedule(x) if callable(x) else real(x, "rate")
+    schedule: Any = Schedule
+    return schedule(x) if callable(x) else real(x, "rate")
 
 
 class LowPass(AbstractFilter):

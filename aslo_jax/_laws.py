@@ -126,7 +126,7 @@ class Remembering(NamedTuple):
     """The `hold` of a filter, and what it remembers after an interval, each of shape `()`:
     its `slowest` part by itself, and `whole` by all its time constants together."""
 
-    hold: Hold
+    hold: Any
     slowest: Array
     whole: Array
 

@@ -136,7 +136,11 @@ class _Paced(AbstractFilter):
 
     rate: eqx.AbstractVar[Float[Array, ""]]
     low: eqx.AbstractVar[Float[Array, ""]]
-    tracking: eqx.AbstractClassVar[bool]
+
+    @property
+    @abc.abstractmethod
+    def tracking(self) -> bool:
+        """Whether the rate multiplies what is injected, too."""
 
     @property
     def strictly_proper(self) -> bool:
@@ -167,8 +171,8 @@ class _Paced(AbstractFilter):
 
     def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         law = _Decay(self.low, self.tracking)
-        driven = (_Driven(v, self.rate) for v in (v0, v1))
-        return law.advance(X, *driven, coefficients)
+        left, right = _Driven(v0, self.rate), _Driven(v1, self.rate)
+        return law.advance(X, left, right, coefficients)
 
 
 class Varying(_Paced):
@@ -177,7 +181,10 @@ class Varying(_Paced):
 
     rate: Float[Array, ""]
     low: Float[Array, ""]
-    tracking = False
+
+    @property
+    def tracking(self) -> bool:
+        return False
 
     @property
     def derivative(self) -> AbstractFilter:
@@ -199,7 +206,10 @@ class _Tracking(_Paced):
 
     rate: Float[Array, ""]
     low: Float[Array, ""]
-    tracking = True
+
+    @property
+    def tracking(self) -> bool:
+        return True
 
     def output(self, X: RealArray) -> RealArray:
         return X

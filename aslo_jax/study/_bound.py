@@ -169,8 +169,9 @@ def with_bound(
     dataset = dataset.assign(
         {f"{BOUND}_{name}": bound.rms(t).value for name, t in after.items()}
     )
-    for name, t in after.items() if unknown is not None else ():
-        dataset[f"{BOUND}_{name}"].attrs["unknown"] = unknown.rms(t).value
+    if unknown is not None:
+        for name, t in after.items():
+            dataset[f"{BOUND}_{name}"].attrs["unknown"] = unknown.rms(t).value
     if "time" in dataset.coords:
         at = np.abs(bound.t[None] - dataset.time.values[:, None]).argmin(1)
         dataset = dataset.assign(cramer_rao=(("time",), bound.norm[at]))

@@ -88,11 +88,11 @@ def unknown_in(experiment: Experiment, spread: Spread) -> dict[str, np.ndarray]:
     for k, places in enumerate(sampler.make.places):
         path = layout.paths[places[0].leaf]
         stem, _, name = path.partition(".")
-        if stem != "plant" or len(places) > 1 or mean[k] == 0.0:
+        if stem != "plant" or len(places) != 1 or mean[k] == 0.0:
             continue
-        shape = np.shape(layout.leaves[places[0].leaf])
-        each = found.setdefault(name, np.zeros(shape))
-        each[places[0].entry] = deviation[k] / abs(mean[k])
+        (place,) = places
+        each = found.setdefault(name, np.zeros(np.shape(layout.leaves[place.leaf])))
+        each[place.entry] = deviation[k] / abs(mean[k])
     return found
 
 
