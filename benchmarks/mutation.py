@@ -43,7 +43,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
     parser.add_argument("--work", type=Path, default=Path("mutation"), help="where to work")
     asked = parser.parse_args(argv)
-    tree = asked.work / "tree"
+    tree = asked.work.resolve() / "tree"
     if not tree.exists():
         copied(tree)
     with use_db(asked.work / "session.sqlite") as db:
@@ -73,16 +73,27 @@ def copied(tree: Path) -> None:
 
 def command(tree: Path, module: str) -> str:
     tests = " ".join(f"{tree}/tests/test_{name}.py" for name in TESTS[module].split())
-    start = f"env PYTHONPATH={tree} ASLO_JAX_TEST_CACHE={tree.parent.resolve()}/compiled"
+    # From the copy, which is then what is imported, and not the checkout.
+    cache = f"ASLO_JAX_TEST_CACHE={tree.parent}/compiled"
+    start = f"env -C {tree} PYTHONPATH={tree} {cache}"
     settings = f"-p no:cacheprovider -c {tree}/pyproject.toml --rootdir {tree}"
     return f"{start} {sys.executable} -m pytest -x -q -n 0 {settings} {tests}"
 
 
 def baseline(tree: Path) -> None:
-    """The tests pass on what is not changed, and fill the cache of compiled programs."""
+    """The tests pass on what is not changed, which fills the cache of compiled programs, and
+    fail where a module cannot be imported, or else they do not see the copy."""
     for module in TESTS:
-        if subprocess.run(command(tree, module).split(), check=False).returncode:
+        asked = command(tree, module).split()
+        if subprocess.run(asked, check=False).returncode:
             sys.exit(f"The tests of {module} fail without a mutation.")
+        path = tree / "aslo_jax" / f"{module}.py"
+        kept = path.read_text()
+        path.write_text("raise ImportError\n")
+        broken = subprocess.run(asked, check=False, capture_output=True).returncode
+        path.write_text(kept)
+        if not broken:
+            sys.exit(f"The tests of {module} do not import {path}.")
 
 
 def sample(db: WorkDB, count: int, seed: int) -> list[WorkItem]:
