@@ -24,8 +24,8 @@ def smooth(
     - `observer`: a [`Lifted`][];
     - `t`, shape `(N,)`; `u` and `y`, as of [`replay`][];
     - `missing`: as of [`replay`][]. With `"coast"` a row of a hole is flagged, and its
-      covariance is that of what the log tells from both sides; what lies before a hole over
-      which all is lost tells nothing of what follows, nor that of it.
+      covariance is that of what the log tells from both sides; across a hole over which
+      all is lost neither side is told of the other.
 
     The filter runs forward, and the information of what follows backward; each estimate
     weighs the two. Beside the filter's the error of a motor's flux is 1.2 to 1.4 times

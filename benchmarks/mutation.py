@@ -81,8 +81,8 @@ def command(tree: Path, module: str) -> str:
 
 
 def baseline(tree: Path) -> None:
-    """The tests pass on what is not changed, which fills the cache of compiled programs, and
-    fail where a module cannot be imported, or else they do not see the copy."""
+    """The tests pass on what is not changed, which fills the cache of compiled programs,
+    and fail where a module cannot be imported, or else they do not see the copy."""
     for module in TESTS:
         asked = command(tree, module).split()
         if subprocess.run(asked, check=False).returncode:
