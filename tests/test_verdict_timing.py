@@ -108,3 +108,26 @@ def test_few_rows_that_are_lost_are_seen(recorded, motor, count):
 def test_of_a_whole_log_no_row_seems_lost(recorded, profile, noise):
     for motor in (KITE, SWIVEL):
         assert warnings(recorded(motor, profile, noise), motor) == ()
+
+
+@pytest.mark.parametrize("rows", [-1, 1])
+@pytest.mark.parametrize(
+    "motor",
+    [
+        Motor("blade", "pmsm", 0.085, 28e-6, 28e-6, 1.7e-3, 7, 2100.0, 14.0, 4e-5),
+        Motor("rotor", "pmsm", 0.11, 36e-6, 36e-6, 1.9e-3, 7, 1950.0, 14.0, 4e-5),
+    ],
+    ids=lambda m: m.name,
+)
+def test_a_load_that_varies_tells_the_timing_beside_a_resistance(motor, rows):
+    """Without leaps of the current another resistance mends all but the level."""
+    log = noisy(run(motor, "load", 2501), motor, 6, 0.005)
+    assert warnings(log, motor) == ()
+    assert warnings(log, motor, R=1.03 * motor.R) == ()
+    (warning,) = warnings(log | {"u": late(log["u"], rows)}, motor)
+    assert warning.kind == "voltage_timing"
+    assert f"delayed={rows}" in warning.message
+    assert "or the resistance is" in warning.message
+    assert "constant" not in warning.message
+    error = float(warning.message.split("off by about ")[1].split(" %")[0])
+    assert error == pytest.approx(100.0 * motor.speed * motor.dt, rel=0.3)

@@ -31,13 +31,15 @@ class Timing:
     - `told`: the timing that leaps of the voltage tell, and by how many times they then
       fit `better`;
     - `alike`: where they tell nothing, what makes up for a magnet flux that is off: a
-      timing and, after it, a resistance, unless that is impossible;
+      timing and, after it, a resistance, unless that is impossible; and whether the log is
+      so `even` that the magnet flux makes up for it by itself;
     - `notes`: in words, where not even that is odd.
     """
 
     told: Trial | None = None
     better: float = 1.0
     alike: tuple[Trial, ...] = ()
+    even: bool = True
     notes: tuple[str, ...] = ()
 
 
@@ -72,15 +74,18 @@ def timing(
         least = ALIKE * min(leaps.values())
         tried = [t for t in tried if leaps.get(t.tried.shift, math.inf) <= least]
     late = _instead_of_magnet(tried, nominal, circle)
-    if late is not None and nominal.residual < chance(windows.drift, circle):
+    limit = chance(windows.drift, circle)
+    even = nominal.residual < limit
+    if late is not None and (even or _mends(late, nominal, limit)):
         (resistance,) = trial.of_each(
             windows, circle, [h for h in known if h.kind == "resistance"], windows
         )
         factor = 1.0 + resistance.values[0] / circle.resistance
         fits = factor > 0 and _off(resistance, circle) < ODD / 2.0
-        possible = (resistance,) if fits else ()
-        if not possible or abs(factor - 1.0) > LIKELY:
-            return Timing(alike=(late, *possible))
+        if not fits or abs(factor - 1.0) > LIKELY:
+            if not even:  # the magnet flux alone does not mend it, a resistance may
+                fits = factor > 0 and resistance.residual <= ALIKE * late.residual
+            return Timing(alike=(late, resistance) if fits else (late,), even=even)
     turn = windows.rate * windows.interval
     if turn < TURN or not any(abs(t.tried.shift) == 1.0 for t in tried):
         return Timing()
@@ -101,6 +106,12 @@ def _instead_of_magnet(
         return None
     late = [t for t in tried if abs(t.tried.shift) == 1.0 and t.flux_error > HARM]
     return next((t for t in late if _fits(t, circle)), None)
+
+
+def _mends(t: Trial, nominal: Trial, limit: float) -> bool:
+    """Whether what is odd beside the level, too, is then what noise does, below `limit`. A
+    timing that mends the level alone, where more is odd, does so by chance."""
+    return t.residual < min(limit, nominal.residual / ALIKE)
 
 
 def _fits(t: Trial, circle: Circle) -> bool:

@@ -224,7 +224,7 @@ def _quiet(
     figures = {**figures, "flux_error": wrong[0].flux_error}
     if found.told is not None:
         return Diagnosis((warning(found.better, wrong, circle),), figures)
-    return Diagnosis((either(found.alike, nominal, circle),), figures)
+    return Diagnosis((either(found.alike, nominal, circle, found.even),), figures)
 
 
 def _harmless(t: Trial, circle: Circle) -> bool:

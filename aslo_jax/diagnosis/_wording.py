@@ -69,12 +69,23 @@ def _offset(b: complex, circle: Circle) -> str:
     )
 
 
-def either(alike: Sequence[Trial], nominal: Trial, circle: Circle) -> Finding:
-    """What is said where the magnet flux is off, unless the voltages are of other rows."""
+def either(
+    alike: Sequence[Trial], nominal: Trial, circle: Circle, even: bool = True
+) -> Finding:
+    """What is said where the magnet flux is off, unless the voltages are of other rows; in
+    a log that is not `even`, more than the magnet flux is."""
     causes = ", or ".join(cause_of(t, circle) for t in alike)
     harms = " or ".join(f"{100 * t.flux_error:.2g} %" for t in alike)
     remedies = "; or ".join(t.tried.remedy for t in alike)
     ratio = nominal.radius / (circle.radius or nominal.radius)
+    if not even:
+        times = _times(better_than(nominal, alike))
+        return Finding(
+            alike[0].tried.kind,
+            f"{causes}: the {circle.quantity} is off by about {harms}, and the log fits "
+            f"{times} better without that; {remedies}; or record a step of the load, which "
+            "tells them apart",
+        )
     return Finding(
         alike[0].tried.kind,
         f"{causes}, or the {circle.radius_name} is {ratio:.4g} times the one given; at a "
