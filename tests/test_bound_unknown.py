@@ -14,7 +14,7 @@ from aslo_jax.control import OpenLoop
 from aslo_jax.disturbances import SampledNoise
 from aslo_jax.plants._base import AbstractPlant
 from aslo_jax.plants._machine import MachineState
-from aslo_jax.study._bound import cramer_rao
+from aslo_jax.study._bound import both_bounds, cramer_rao
 
 R, L, M, POLES, J, D = 1.7, 9.3e-3, 0.11, 3, 2.3e-3, 0.7e-3
 H, CURRENT, VOLTAGE, STEPS = 1e-3, np.array([0.03, 0.05]), 0.4, 30
@@ -102,6 +102,19 @@ def test_it_is_the_information_of_the_whole_record(names):
         known = deviations[k] ** 2 * covariance[k, k]
         np.testing.assert_allclose(variance[0, -1], known, rtol=1e-9)
         assert known < 0.9 * deviations[k] ** 2
+
+
+def test_both_bounds_come_of_one_run():
+    state = lambda v: MachineState(*map(jnp.asarray, (v[:2], v[2], v[3])))
+    starts = np.stack([FIRST, FIRST + np.array([0.02, -0.01, 7.0, 0.9])])
+    prior = state(PRIOR)
+    known, unknown = both_bounds(motor, starts, STEPS, prior=prior, unknown=UNKNOWN)
+    for found, given in ((known, None), (unknown, UNKNOWN)):
+        alone = cramer_rao(motor, starts, STEPS, prior=prior, unknown=given)
+        np.testing.assert_allclose(found.t, alone.t, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(found.variance, alone.variance, rtol=1e-9)
+        assert found.parameters.keys() == alone.parameters.keys()
+    assert (unknown.variance[:, -1] > 1.01 * known.variance[:, -1]).any()
 
 
 class Spring(AbstractPlant):

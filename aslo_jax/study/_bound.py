@@ -9,22 +9,20 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from .. import _choices, random
 from .._checks import one_of
 from .._experiment import Carry, Experiment, Record
 from .._module import Module
-from .._runge_kutta import runge_kutta
 from .._typing import Average, PyTree
-from ..disturbances import AbstractDisturbance, SampledNoise
 from ..engines import run_batch
 from . import _statistics as statistics
+from ._linearised import Linearised, Square
 from ._tables import BOUND
-from ._unknown import Unknown, unknown_of
+from ._unknown import unknown_of
 
-Square = Float[Array, "n n"]
+KNOWN = "known"  # beside BOUND, that of observers who know all parameters
 
 
 class Bound(Module):
@@ -134,7 +132,7 @@ def cramer_rao(
             '`jax.config.update("jax_enable_x64", True)` first.'
         )
     samples = jax.tree.map(jnp.asarray, samples)
-    model = _Model(make, prior, process, noise, unknown_of(unknown, make, samples))
+    model = Linearised(make, prior, process, noise, unknown_of(unknown, make, samples))
     if average == "information":
         if unknown:
             raise ValueError(
@@ -148,13 +146,34 @@ def cramer_rao(
                 'got "information"; or give `process` for every state.'
             )
     else:
-        t, variance = _each(model, samples, steps)
+        t, found = _each(model, samples, steps)
+        variance = found[BOUND]
+    return _bound(model, t, variance)
+
+
+def both_bounds(
+    make: Callable[[PyTree], Experiment],
+    samples: PyTree,
+    steps: int,
+    *,
+    prior: PyTree,
+    unknown: Mapping[str, Any],
+) -> tuple[Bound, Bound]:
+    """[`cramer_rao`][] with the parameters known, and with them `unknown`, along the same
+    trajectories, which take most of the time."""
+    samples = jax.tree.map(jnp.asarray, samples)
+    model = Linearised(make, prior, None, None, unknown_of(unknown, make, samples))
+    t, found = _each(model, samples, steps, beside=True)
+    return Bound(np.asarray(t), np.asarray(found[KNOWN])), _bound(model, t, found[BOUND])
+
+
+def _bound(model: Linearised, t: ArrayLike, variance: ArrayLike) -> Bound:
+    """Of the variances of what is hidden, then of what is unknown."""
     t, variance = np.asarray(t), np.asarray(variance)
-    if not unknown:
+    if not model.unknown.names:
         return Bound(t, variance)
-    size = variance.shape[2] - sum(d.size for d in model.unknown.deviations)
-    parameters = model.unknown.split(variance[:, :, size:])
-    return Bound(t, variance[:, :, :size], parameters)
+    size = variance.shape[2] - model.unknown.size
+    return Bound(t, variance[:, :, :size], model.unknown.split(variance[:, :, size:]))
 
 
 def with_bound(
@@ -178,106 +197,52 @@ def with_bound(
     return dataset
 
 
-class _Model(Module):
-    """The discrete-time model of one sample, linearised about its trajectory: of the state
-    and of the relative errors of what is unknown, which are zero along it."""
-
-    make: Callable[[PyTree], Experiment]
-    prior: PyTree
-    process: PyTree | None
-    noise: Any
-    unknown: Unknown
-
-    def first(self, sample: PyTree) -> tuple[Carry, Record, Square]:
-        experiment = self.make(sample)
-        carry, record = experiment.init()
-        known = _flat(self.prior, carry.x), self.unknown.start(experiment.plant)
-        return carry, record, jnp.diag(jnp.concatenate(known) ** 2)
-
-    def onward(self, sample: PyTree, carry: Carry, prepared: Any, k: Any):
-        """The next carry and record, F and Q."""
-        experiment = self.make(sample)
-        x, back = ravel_pytree(carry.x)
-        u, held = ravel_pytree(carry.command)
-        t, h = k * experiment.interval, experiment.interval
-        errors = jnp.zeros_like(self.unknown.start(experiment.plant))
-
-        def flow(x, errors, u):
-            state, part = back(x), h / experiment.plant_steps
-            plant = self.unknown.at(experiment.plant, errors)
-            rate = lambda t, x: plant.vector_field(t, x, held(u))
-            for j in range(experiment.plant_steps):
-                state = runge_kutta(rate, t + j * part, state, part)
-            return ravel_pytree(state)[0]
-
-        F, by_errors, G = jax.jacfwd(flow, (0, 1, 2))(x, errors, u)
-        noise = _variance(experiment.actuator, carry.command)
-        noise = noise + _variance(experiment.input_sensor, carry.command)
-        Q = (G * noise) @ G.T
-        if self.process is not None:
-            Q = Q + h * jnp.diag(_flat(self.process, carry.x) ** 2)
-        if errors.size:
-            q = errors.size
-            F = jnp.block([[F, by_errors], [jnp.zeros((q, x.size)), jnp.eye(q)]])
-            Q = jnp.pad(Q, (0, q))
-        return *experiment.advance(k, carry, prepared), F, Q
-
-    def measured(self, sample: PyTree, carry: Carry):
-        """The rows of `R^-1/2 H`, and the Jacobian of what is hidden and unknown."""
-        plant, sensor = self.make(sample).plant, self.make(sample).sensor
-        x, back = ravel_pytree(carry.x)
-        errors = jnp.zeros_like(self.unknown.start(plant))
-
-        def seen(x, errors):
-            at = self.unknown.at(plant, errors)
-            return ravel_pytree(at.output(back(x)))[0], at.hidden(back(x))
-
-        H, C = jax.jacfwd(lambda X: seen(X[: x.size], X[x.size :]))(
-            jnp.concatenate([x, errors])
-        )
-        C = jnp.concatenate([C, jnp.eye(H.shape[1])[x.size :]])
-        if self.noise is None:
-            if not _noises(sensor):
-                raise ValueError(
-                    "Argument `noise` must be given where the experiment's sensor has no "
-                    "`SampledNoise`, but got None."
-                )
-            R = _variance(sensor, plant.output(carry.x))
-        else:
-            R = _flat(self.noise, plant.output(carry.x)) ** 2
-        return H / jnp.sqrt(R)[:, None], C
-
-
 class _Along(Module):
     """The bound along the trajectory of one sample, as an experiment that an engine runs:
-    its carry is the experiment's and P, its record the variances of what is hidden."""
+    its carry is the experiment's and P, its record the variances of what is hidden; with
+    `beside`, those with all parameters known beside them, of the same linearisation."""
 
-    model: _Model
+    model: Linearised
     sample: PyTree
+    beside: bool = eqx.field(static=True, default=False)
 
-    def init(self) -> tuple[tuple[Carry, Square], Record]:
-        return self._measured(*self.model.first(self.sample))
+    def _parts(self, M: Array, across: bool = True) -> dict[str, Array]:
+        """A matrix of state and parameters, and the part of it that knows these."""
+        if not self.beside:
+            return {BOUND: M}
+        q = self.model.unknown.size
+        rows = M.shape[0] - q if across else M.shape[0]
+        return {BOUND: M, KNOWN: M[:rows, : M.shape[1] - q]}
 
-    def prepare(self, carry: tuple[Carry, Square]) -> dict[str, PyTree]:
+    def init(self) -> tuple[tuple[Carry, dict[str, Square]], Record]:
+        carry, record, P = self.model.first(self.sample)
+        return self._measured(carry, record, self._parts(P))
+
+    def prepare(self, carry: tuple[Carry, Any]) -> dict[str, PyTree]:
         return self.model.make(self.sample).prepare(carry[0])
 
-    def advance(self, k: Any, carry: tuple[Carry, Square], prepared: dict[str, PyTree]):
+    def advance(
+        self, k: Any, carry: tuple[Carry, dict[str, Square]], prepared: dict[str, PyTree]
+    ):
         before, P = carry
         after, record, F, Q = self.model.onward(self.sample, before, prepared, k)
-        return self._measured(after, record, _symmetric(F @ P @ F.T + Q))
+        F, Q = self._parts(F), self._parts(Q)
+        P = {name: _symmetric(F[name] @ P[name] @ F[name].T + Q[name]) for name in P}
+        return self._measured(after, record, P)
 
-    def _measured(self, carry: Carry, record: Record, P: Square):
+    def _measured(self, carry: Carry, record: Record, P: dict[str, Square]):
         rows, C = self.model.measured(self.sample, carry)
-        P = _known(P, rows)
-        variance = jnp.sum((C @ P) * C, axis=1)
-        return (carry, P), dataclasses.replace(record, estimates={BOUND: variance})
+        rows, C = self._parts(rows, across=False), self._parts(C)
+        P = {name: _known(P[name], rows[name]) for name in P}
+        variance = {name: jnp.sum((C[name] @ P[name]) * C[name], axis=1) for name in P}
+        return (carry, P), dataclasses.replace(record, estimates=variance)
 
 
-def _each(model: _Model, samples: PyTree, steps: int):
+def _each(model: Linearised, samples: PyTree, steps: int, beside: bool = False):
     """The instants, and the variances along each trajectory."""
-    make: Any = lambda sample: _Along(model, sample)
+    make: Any = lambda sample: _Along(model, sample, beside)
     engine = "auto" if importlib.util.find_spec("llvmlite") else "scan"
-    kept = lambda record: (record.t, record.estimates[BOUND])
+    kept = lambda record: (record.t, record.estimates)
     batch = run_batch(make, samples, steps, record=kept, every=1, engine=engine)
     t, variance = batch.record
     return t[0], variance
@@ -303,7 +268,7 @@ def _symmetric(P: Square) -> Square:
 
 
 @eqx.filter_jit
-def _together(model: _Model, samples: PyTree, steps: int):
+def _together(model: Linearised, samples: PyTree, steps: int):
     """The instants, the variances with expectations inside the recursion, and whether Q is
     definite."""
     carries, begin, P = jax.vmap(model.first)(samples)
@@ -355,33 +320,3 @@ def _expected(F: Float[Array, "N n n"], Q: Float[Array, "N n n"]):
     apart = F - expected
     known = (jnp.swapaxes(apart, 1, 2) @ inverse @ apart).mean(0)
     return expected, mean, known, definite
-
-
-def _noises(part: AbstractDisturbance | None) -> list[SampledNoise]:
-    """The white noises among the parts of a disturbance."""
-    parts = getattr(part, "parts", (part,))
-    return [p for p in parts if isinstance(p, SampledNoise)]
-
-
-def _variance(part: AbstractDisturbance | None, signal: PyTree) -> Float[Array, " p"]:
-    total = jnp.zeros_like(ravel_pytree(signal)[0])
-    for noise in _noises(part):
-        total = total + _flat(noise.deviation, signal) ** 2
-    return total
-
-
-def _flat(deviation: PyTree, like: PyTree) -> Float[Array, " n"]:
-    """The entries of a pytree beside those of one `like` it, or one number for all."""
-    shape = jax.tree.structure(like)
-    if jax.tree.structure(deviation) != shape:
-        if len(jax.tree.leaves(deviation)) != 1:
-            raise ValueError(
-                "A deviation must have the structure of what deviates, "
-                f"{shape}, but has {jax.tree.structure(deviation)}."
-            )
-        (one,) = jax.tree.leaves(deviation)
-        deviation = jax.tree.map(lambda _: one, like)
-    spread = jax.tree.map(
-        lambda d, x: jnp.broadcast_to(jnp.asarray(d, x.dtype), x.shape), deviation, like
-    )
-    return ravel_pytree(spread)[0]

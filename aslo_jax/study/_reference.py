@@ -1,7 +1,7 @@
 """The Cramer-Rao bound of a study, the reference line of its report."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -11,8 +11,9 @@ from jaxtyping import Float
 
 from .. import random
 from .._experiment import Experiment
+from .._typing import PyTree
 from ..disturbances import Chain, SampledNoise
-from ._bound import Bound, cramer_rao, with_bound
+from ._bound import Bound, both_bounds, cramer_rao, with_bound
 from ._spread import Sampler, Spread
 
 if TYPE_CHECKING:
@@ -57,15 +58,27 @@ def bound_of(
 
     **Raises:** as [`cramer_rao`][].
     """
-    sampler = Sampler(experiment, spread, random.seed_of(key), trajectories)
-    samples = sampler(np.arange(trajectories), sampler.values(0, trajectories))
+    make, samples, prior = _trajectories(experiment, spread, key, trajectories)
+    bound = cramer_rao(make, samples, steps, prior=prior, unknown=unknown)
+    return _over(bound, scale)
+
+
+def _trajectories(
+    experiment: Experiment, spread: Spread, key: random.KeyLike, count: int
+) -> tuple[Callable[[PyTree], Experiment], PyTree, PyTree]:
+    """The experiments without observers, their first samples, and what is known of the
+    start."""
+    sampler = Sampler(experiment, spread, random.seed_of(key), count)
+    samples = sampler(np.arange(count), sampler.values(0, count))
 
     def make(sample: Any) -> Experiment:
         return dataclasses.replace(sampler.make(sample), observers={})
 
     state = jax.eval_shape(lambda: experiment.init()[0].x)
-    prior = jax.tree.map(lambda x: jnp.full(x.shape, _PRIOR), state)
-    bound = cramer_rao(make, samples, steps, prior=prior, unknown=unknown)
+    return make, samples, jax.tree.map(lambda x: jnp.full(x.shape, _PRIOR), state)
+
+
+def _over(bound: Bound, scale: Float[np.ndarray, " n"] | None) -> Bound:
     if scale is None:
         return bound
     return dataclasses.replace(bound, variance=bound.variance / scale**2)
@@ -100,13 +113,16 @@ def with_reference(dataset: Any, configuration: "Configuration", seed: int) -> A
     """The `xarray.Dataset` of a study with its bound, or as it is without one."""
     if not has_bound(configuration):
         return dataset
-    parts = configuration.experiment, configuration.spread
-    settings = {"key": random.key(seed), "scale": configuration.scale}
-    bound = bound_of(*parts, configuration.steps, **settings)
-    names, unknown = unknown_in(*parts), None
+    experiment, spread = configuration.experiment, configuration.spread
+    names, unknown = unknown_in(experiment, spread), None
+    make, samples, prior = _trajectories(experiment, spread, random.key(seed), TRAJECTORIES)
+    parts, scale = (make, samples, configuration.steps), configuration.scale
     if names:
-        unknown = bound_of(*parts, configuration.steps, unknown=names, **settings)
-    return with_bound(dataset, bound, _after(configuration), unknown)
+        bound, unknown = both_bounds(*parts, prior=prior, unknown=names)
+        unknown = _over(unknown, scale)
+    else:
+        bound = cramer_rao(*parts, prior=prior)
+    return with_bound(dataset, _over(bound, scale), _after(configuration), unknown)
 
 
 def _after(configuration: "Configuration") -> dict[str, float]:

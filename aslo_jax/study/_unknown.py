@@ -21,6 +21,11 @@ class Unknown(Module):
     names: tuple[str, ...] = eqx.field(static=True)
     deviations: tuple[Float[Array, "..."], ...]
 
+    @property
+    def size(self) -> int:
+        """The number of entries of all leaves."""
+        return sum(d.size for d in self.deviations)
+
     def values(self, plant: AbstractPlant) -> list[Float[Array, "..."]]:
         """The leaves, in their units."""
         return [jnp.asarray(_leaf(plant, name)) for name in self.names]
