@@ -22,6 +22,7 @@ AXES = 1e-3  # a relative residual below which no frame is wrong
 UNEXPLAINED = 0.02  # a relative residual that is a warning of its own
 OF_A_LOG, OF_A_MACHINE = 0.01, 0.03  # flux errors that are worth a warning
 RADIUS = math.log(1.15)  # a magnet that is off by less does no harm
+TOLD = math.log(1.1)  # the same in a log that tells nothing else: what magnets vary by
 DOUBT = 0.1  # of a parameter: an error that is likely in a right log
 LIKELY = math.log(1.5)  # of a parameter: one that is further off is not so by itself
 EXCUSE = math.log(1.2)  # the same, where the timing of the voltages may be wrong instead
@@ -74,7 +75,7 @@ def _of_flux(
     if nominal.residual < CLEAR and _near(nominal, circle):
         return _quiet(windows, nominal, chunks, circle, figures), nominal
     if is_even(nominal, others, circle, windows.drift):
-        if _near(nominal, circle):
+        if _near(nominal, circle, TOLD):
             return _quiet(windows, nominal, chunks, circle, figures), nominal
         found = of_level(nominal, others, circle, windows.drift)
         return Diagnosis((found,), figures), nominal
@@ -245,11 +246,11 @@ def _possible(t: Trial, circle: Circle) -> bool:
     return math.isfinite(t.cost) and changed(t, circle) > 0.0
 
 
-def _near(t: Trial, circle: Circle) -> bool:
+def _near(t: Trial, circle: Circle, bound: float = RADIUS) -> bool:
     """Whether the radius that fits is about the one that is given, if one is."""
     if circle.radius is None:
         return True
-    return abs(math.log(t.radius / circle.radius)) < RADIUS
+    return abs(math.log(t.radius / circle.radius)) < bound
 
 
 def _unexplained(nominal: Trial, best: Trial, circle: Circle) -> tuple[Finding, ...]:
