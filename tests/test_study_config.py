@@ -157,6 +157,30 @@ def test_the_adaptive_filter_of_a_motor():
         configure(whole | {"observers": {"A": wrong}}).experiment.observers["A"]
 
 
+def test_a_rate_that_follows_the_speed():
+    rate = {"per_speed": 1.4, "low": 3.0, "high": 150.0}
+    table = {"kind": "aslo", "cutoff": rate, "forgetting": {"per_speed": 0.2}}
+    whole = tomllib.loads((FOLDER / "pmsm.toml").read_text("utf-8"))
+    built = lambda whole, **keys: configure(
+        whole | {"observers": {"A": table | keys}}
+    ).experiment.observers["A"]
+    found = built(whole)
+    schedule = found.filter.rate
+    assert [float(x) for x in schedule.limits] == [3.0, 150.0]
+    assert float(schedule.per_speed) == 1.4 and float(schedule.bandwidth) == 60.0
+    turning = schedule.vector(None, jnp.array([1.0, 2.0]), jnp.array([0.3, 0.4]))
+    np.testing.assert_allclose(turning, [0.3 - 40.03e-3, 0.4 - 2 * 40.03e-3])
+    assert float(found.completion.forgetting.rate.per_speed) == 0.2
+    for wrong, message in (
+        ({"cutoff": {"per_speed": -1.0}}, "observers.A.cutoff"),
+        ({"cutoff": {"low": 9.0, "high": 4.0}}, "`low` must be at most `high`"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            built(whole, **wrong)
+    with pytest.raises(ConfigurationError, match="needs the flux of a round motor"):
+        built(tomllib.loads(SMALL), forgetting=5.0)
+
+
 def test_signals_of_several_entries():
     found = read_configuration("robotic_leg")
     wanted = found.experiment.controller.reference(jnp.asarray(0.5))

@@ -8,10 +8,14 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from .._completions import AbstractCompletion, LeastSquares, Repeat
 from .._filters import LowPass
 from .._guard import Guard
+from .._module import Module
+from .._schedules import PerSpeed
+from .._typing import PyTree
 from ..observers import (
     FO1,
     FO2,
@@ -29,7 +33,7 @@ from ..observers import (
     Unwrapped,
     velocity_observer,
 )
-from ..plants import AbstractMechanicalSystem
+from ..plants import AbstractMechanicalSystem, FluxRelation
 from . import _lifted
 from ._study import Build
 
@@ -56,10 +60,36 @@ def algebraic(relations: Relations, *, threshold: float = 1e-3) -> dict[str, Bui
 
 def algebraic_observer(relation: Any, keys: Any, threshold: float) -> AlgebraicObserver:
     """The ASLO of a relation, with the keys of a table and a default `threshold`."""
-    filter = LowPass(keys.cutoff)
+    filter = low_pass(keys.cutoff, relation)
+    completion = _completion(keys, relation)
     return AlgebraicObserver(
-        relation, filter, _completion(keys), _guard(keys, threshold), keys.start
+        relation, filter, completion, _guard(keys, threshold), keys.start
     )
+
+
+class _Magnet(Module):
+    """What turns of a motor: its flux without the armature's."""
+
+    inductance: Float[Array, ""]
+
+    def __call__(self, u: PyTree, y: PyTree, value: Array) -> Array:
+        return value - self.inductance * y
+
+
+def low_pass(cutoff: Any, relation: Any) -> LowPass:
+    """The filter of a `cutoff`, a number (rad/s) or the table of one that follows the speed
+    at which the estimate of a `relation` turns.
+
+    **Raises:** `ValueError` for the table with a relation of which nothing turns.
+    """
+    if isinstance(cutoff, float | int):
+        return LowPass(cutoff)
+    if not isinstance(relation, FluxRelation):
+        raise ValueError(
+            "a cutoff that follows the speed needs the flux of a round motor, which this "
+            "machine has not; give a number (rad/s)"
+        )
+    return LowPass(PerSpeed(**cutoff.model_dump(), vector=_Magnet(relation.inductance)))
 
 
 def refuse_keys(keys: Any, *names: str) -> None:
@@ -78,11 +108,13 @@ def _guard(keys: Any, threshold: float) -> Guard:
     return Guard(threshold if keys.threshold is None else keys.threshold)
 
 
-def _completion(keys: Any) -> AbstractCompletion:
+def _completion(keys: Any, relation: Any) -> AbstractCompletion:
     if keys.completion == "repeat":
         refuse_keys(keys, "forgetting")
         return Repeat()
-    return LeastSquares(None if keys.forgetting is None else LowPass(keys.forgetting))
+    if keys.forgetting is None:
+        return LeastSquares()
+    return LeastSquares(low_pass(keys.forgetting, relation))
 
 
 def _joined(one: Callable[[Any], AbstractObserver], relations: Sequence[Any]) -> Any:
@@ -167,7 +199,7 @@ def of_mechanism(*, threshold: float) -> dict[str, Build]:
         refuse_keys(keys, "forgetting", "velocity_cutoff")
         return velocity_observer(
             plant,
-            LowPass(keys.cutoff),
+            low_pass(keys.cutoff, None),
             gain=getattr(keys, "gain", None),
             completion=Repeat() if keys.completion == "repeat" else LeastSquares(),
             guard=_guard(keys, threshold),
