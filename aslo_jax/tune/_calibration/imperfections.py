@@ -95,11 +95,12 @@ def _between(u: Any, delay: Any) -> tuple[Any, Any]:
     """The curve through the samples `u`, `delay` samples after each, and its slope."""
     xp = np if isinstance(u, np.ndarray) and isinstance(delay, np.ndarray) else jnp
     rows, last = np.arange(u.shape[0]), u.shape[0] - 1
-    # Beyond the ends the samples go on along lines; the delay is no longer than the log.
-    u = xp.concatenate([2.0 * u[:1] - u[1:2], u, 2.0 * u[-1:] - u[-2:-1]])
+    # Beyond the ends the samples stay as they are: a first one that is far from the next, as
+    # of a loop that begins, says nothing of what came before it.
+    u = xp.concatenate([u[:1], u, u[-1:]])
     place = rows + delay
-    inside = (place >= 0.0) & (place <= last)
-    place = xp.where(inside, place, xp.where(place < 0.0, 0.0, last))
+    inside = (place > 0.0) & (place < last)
+    place = xp.where(inside, place, xp.where(place <= 0.0, 0.0, last))
     left = xp.clip(xp.floor(place).astype(int), 0, last - 1)
     s = (place - left)[:, None]
     before, here, there, after = (u[left + k] for k in range(4))

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 # They matter where the record determines little, and there they keep the search at home.
 RESIDUAL, PRIOR = 0.01, 0.3
 THRESHOLD = 1e-3  # of the guard of an observer that is not given
+LOST = 1e3  # a residual beside which any other is small
 TIME_CONSTANTS = 2.0  # of the filter, after which an estimate is used
 
 
@@ -106,7 +107,12 @@ class Relative:
                 continue
             (gap, size, w), (gap_q, size_q) = self._along(j, whole, signals, du, dy)
             w = w * (self.t > self.t[0] + settling(observer))
-            w = w / max(np.sum(w), 1e-300)
+            total = np.sum(w)
+            if not total > 0.0:  # nothing is known of the state with these parameters
+                rows.append(np.full(gap.shape, LOST))
+                slopes.append(np.zeros((gap.size, q.size)))
+                continue
+            w = w / total
             # Relative, so that nothing is gained by a state that shrinks.
             size, size_q = np.sum(w * size), size_q[: q.size] @ w
             gap_q = gap_q[: q.size]
