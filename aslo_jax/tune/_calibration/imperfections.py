@@ -95,8 +95,8 @@ def _between(u: Any, delay: Any) -> tuple[Any, Any]:
     """The curve through the samples `u`, `delay` samples after each, and its slope."""
     xp = np if isinstance(u, np.ndarray) and isinstance(delay, np.ndarray) else jnp
     rows, last = np.arange(u.shape[0]), u.shape[0] - 1
-    # Beyond the ends the samples stay as they are: a first one that is far from the next, as
-    # of a loop that begins, says nothing of what came before it.
+    # Beyond the ends the samples stay as they are: a first one that is far from the next,
+    # as of a loop that begins, says nothing of what came before it.
     u = xp.concatenate([u[:1], u, u[-1:]])
     place = rows + delay
     inside = (place > 0.0) & (place < last)
