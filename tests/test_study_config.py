@@ -199,8 +199,13 @@ CHANGES = {
     ),
     "out of range": (
         {"observers.ASLO.cutoff": -1.0},
-        "`observers.ASLO.cutoff`, cutoff of the filter (rad/s), must be greater than 0, "
-        "but is -1.0",
+        "`observers.ASLO.cutoff`, cutoff of the filter (rad/s), must be a positive finite "
+        "number, or { per_speed = 1.0, low = 2.0, high = 300.0 } for a rate that follows "
+        "the speed, but is -1.0",
+    ),
+    "a number out of range": (
+        {"interval": -1.0},
+        "must be greater than 0, but is -1.0",
     ),
     "a wrong type": (
         {"horizon": "long"},
