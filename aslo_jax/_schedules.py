@@ -13,7 +13,7 @@ from ._filters import AbstractLaw, LowPass
 from ._realise import Pass
 from ._small import safe_reciprocal
 from ._typing import PyTree, RealArray
-from ._varying import AbstractSchedule, Paced, Schedule, check_limits
+from ._varying import AbstractSchedule, Paced, Schedule, check_limits, elapsed
 from .observers._pll import _Loop, _Track
 
 __all__ = [
@@ -162,8 +162,7 @@ class FastStart(AbstractSchedule):
         return self.low, self.high
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Paced:
-        t = F.state("time", jnp.zeros_like(self.low), jnp.ones_like(self.low))
-        return Paced(self.gain / (t + self.gain / self.high))
+        return Paced(self.gain / (elapsed(F, self.low) + self.gain / self.high))
 
 
 class Table(AbstractSchedule):

@@ -83,8 +83,13 @@ class Schedule(AbstractSchedule):
         return self.low, self.high
 
     def equations(self, F: Any, u: PyTree, y: PyTree) -> Paced:
-        t = F.state("time", jnp.zeros_like(self.low), jnp.ones_like(self.low))
+        t = elapsed(F, self.low)
         return Paced(jnp.asarray(self.function(t, u, y), t.dtype))
+
+
+def elapsed(F: Any, like: RealArray) -> RealArray:
+    """The time since the start (s), a state of the pass `F` with the type of `like`."""
+    return F.state("time", jnp.zeros_like(like), jnp.ones_like(like))
 
 
 def check_limits(schedule: Any) -> None:
@@ -131,7 +136,7 @@ class _Decay(AbstractLaw):
         return decay * X + left * v0.value + right * v1.value
 
 
-class _Paced(AbstractFilter):
+class _AbstractVarying(AbstractFilter):
     """What both filters of a rate have in common."""
 
     rate: eqx.AbstractVar[Float[Array, ""]]
@@ -175,7 +180,7 @@ class _Paced(AbstractFilter):
         return law.advance(X, left, right, coefficients)
 
 
-class Varying(_Paced):
+class Varying(_AbstractVarying):
     """`w' = -rate w + s`, with the output `rate w`: the filter of a [`LowPass`][] whose
     rate varies, at an instant. `low` is the least that it may have; both in rad/s."""
 
@@ -200,7 +205,7 @@ class Varying(_Paced):
         return v - self.rate * X
 
 
-class _Tracking(_Paced):
+class _Tracking(_AbstractVarying):
     """`g' = rate (s - g)`, whose derivative is the filtered derivative of s, times the rate
     as all outputs of [`Varying`][] are."""
 

@@ -96,14 +96,17 @@ def test_one_cause_is_named_where_the_log_tells_them_apart(motor):
     assert warning.kind == "power_invariant"
 
 
+# Speed, direct current, and steps of the other current, over the share of a log.
+STEPS = (
+    lambda s: 0.9 + 0 * s,
+    lambda s: 0.0 * s,
+    lambda s: 0.3 + 0.5 * (s > 0.37) - 0.6 * (s > 0.81),
+)
+
+
 def test_a_timing_that_the_leaps_of_the_current_speak_against_is_not_named(monkeypatch):
     """Doubled parameters do little harm here, and shift the level of the flux."""
-    steps = (
-        lambda s: 0.9 + 0 * s,
-        lambda s: 0.0 * s,
-        lambda s: 0.3 + 0.5 * (s > 0.37) - 0.6 * (s > 0.81),
-    )
-    monkeypatch.setitem(PROFILES, "own", steps)
+    monkeypatch.setitem(PROFILES, "own", STEPS)
     log = recorded(FAN, "own")
     two = {name: 2.0 * getattr(FAN, name) for name in ("R", "Ld", "Lq")}
     assert "voltage_timing" not in told(log, FAN, **two)
@@ -111,12 +114,7 @@ def test_a_timing_that_the_leaps_of_the_current_speak_against_is_not_named(monke
 
 @pytest.mark.parametrize("motor", [FAN, LOOM], ids=lambda m: m.name)
 def test_steps_of_small_currents_are_no_outliers_of_the_voltage(monkeypatch, motor):
-    steps = (
-        lambda s: 0.9 + 0 * s,
-        lambda s: 0.0 * s,
-        lambda s: 0.3 + 0.5 * (s > 0.37) - 0.6 * (s > 0.81),
-    )
-    monkeypatch.setitem(PROFILES, "own", steps)
+    monkeypatch.setitem(PROFILES, "own", STEPS)
     log = recorded(motor, "own")
     assert "input_outliers" not in told(log | {"i": log["i"] / 6.0}, motor)
 

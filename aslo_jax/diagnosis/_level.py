@@ -29,8 +29,7 @@ SINGLE = (*SCALES, "resistance", "inductance")
 def is_even(nominal: Trial, others: Sequence[Trial], circle: Circle, drift: float) -> bool:
     """Whether a log tells nothing but a level: with another radius its shape is right, and
     as right with another scale or parameter, so that those causes that mend the level are
-    all as good. `drift` (Wb): what noise makes
-    of a flux."""
+    all as good. `drift` (Wb): what noise makes of a flux."""
     radius = _radius(others)
     if radius is None or circle.radius is None:
         return False
