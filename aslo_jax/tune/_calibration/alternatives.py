@@ -82,10 +82,10 @@ def widened(
 ) -> list[Profile]:
     """The profiles with intervals that hold whichever one of the alternatives is right, or
     none of them."""
-    import scipy.stats  # heavy to import, and needed here only
+    from scipy.special import chdtri  # heavy to import
 
     # As of a profile where that of another parameter is no parabola.
-    factor = float(np.sqrt(scipy.stats.chi2.ppf(confidence, 2)))
+    factor = float(np.sqrt(chdtri(2, 1.0 - confidence)))
     found = []
     for j, profile in enumerate(profiles):
         low, high, allowed = profile.low, profile.high, []

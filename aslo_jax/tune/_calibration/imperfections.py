@@ -149,6 +149,16 @@ def perfect(model: Any, signals: Signals) -> Imperfections:
     )
 
 
+def _places(parameters: Parameters) -> dict[str, int]:
+    """Where in `q` the errors of a [`Recorded`][] begin, by name."""
+    leaves, structure = jax.tree.flatten(parameters.model)
+    numbered = jax.tree.unflatten(structure, range(len(leaves))).imperfections
+    sizes = [np.size(leaves[k]) for k in parameters.leaves]
+    begins = dict(zip(parameters.leaves, np.cumsum([0, *sizes[:-1]]), strict=True))
+    named = ((name, begins.get(getattr(numbered, name))) for name in vars(numbered))
+    return {name: int(begin) for name, begin in named if begin is not None}
+
+
 def seen(
     parameters: Parameters, signals: Signals, q: Float[np.ndarray, " k"]
 ) -> tuple[Signals, Float[np.ndarray, "k N m"], Float[np.ndarray, "k N p"]]:
@@ -158,19 +168,39 @@ def seen(
     numeric: Any = jax.tree.map(np.asarray, recorded.imperfections)
     h, u, y = (np.asarray(x, float) for x in signals)
     whole: Any = signals._replace(h=h, u=u, y=y)
-    leaves, structure = jax.tree.flatten(parameters.model)
-    numbered = jax.tree.unflatten(structure, range(len(leaves))).imperfections
-    sizes = [np.size(leaves[k]) for k in parameters.leaves]
-    begins = dict(zip(parameters.leaves, np.cumsum([0, *sizes[:-1]]), strict=True))
+    begins = _places(parameters)
     rate = parameters.rates(np.asarray(q, float))
     du, dy = (np.zeros((len(rate), *x.shape)) for x in whole[1:])
-    if any(getattr(numbered, name) in begins for name in vars(numbered)):
+    if begins:
         for name, j, of_u, of_y in recorded.imperfections.slopes(whole):
-            begin = begins.get(getattr(numbered, name))
-            if begin is not None:
-                k = begin + j
+            if name in begins:
+                k = begins[name] + j
                 du[k], dy[k] = rate[k] * of_u, rate[k] * of_y
     return numeric(whole), du, dy
+
+
+class Sight:
+    """What the machine has seen of a log ([`seen`][]), kept while the errors of the record
+    stay as they are: a search moves the other parameters far more often."""
+
+    def __init__(self, parameters: Parameters, signals: Signals) -> None:
+        self.parameters, self.signals = parameters, signals
+        errors = parameters.model.imperfections
+        places = [
+            begin + np.arange(np.size(getattr(errors, name)))
+            for name, begin in _places(parameters).items()
+        ]
+        self._errors = np.concatenate([np.zeros(0, int), *places])
+        self._last: tuple[bytes, Any] = b"", None
+
+    def __call__(
+        self, q: Float[np.ndarray, " k"]
+    ) -> tuple[Signals, Float[np.ndarray, "k N m"], Float[np.ndarray, "k N p"]]:
+        """At `q`; not to be written to."""
+        key = np.asarray(q, float)[self._errors].tobytes()
+        if self._last[1] is None or self._last[0] != key:
+            self._last = key, seen(self.parameters, self.signals, q)
+        return self._last[1]
 
 
 def sizes_of(signals: Signals) -> dict[str, float]:

@@ -92,7 +92,7 @@ def calibrate(
     Source: prediction errors, Ljung, "System Identification", 1999, chapters 7 and 9;
     theory, section 9.
     """
-    import scipy.stats  # heavy to import, and needed for a calibration only
+    from scipy.special import ndtri  # scipy.stats takes as long to import as JAX
 
     t, u, y = (np.asarray(signal, float) for signal in (t, u, y))
     encoder = check_angle(model, angle, t) if NAME in fit else None
@@ -107,7 +107,7 @@ def calibrate(
         selected, t, u, y, cutoff, constant, scale or {}, _entries(recorded, tests)
     )
     search = Search(problem)
-    factor = float(scipy.stats.norm.ppf(0.5 + 0.5 * confidence))
+    factor = float(ndtri(0.5 + 0.5 * confidence))
     v, done = problem.unknowns, 0
     while True:
         done, before, likelihood = done + 1, v, search.likelihood

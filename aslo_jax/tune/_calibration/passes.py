@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...engines._frontend.lower import NotFusible
-from .imperfections import seen
+from .imperfections import Sight
 from .kept import run_kept
 from .problem import Problem, predicted
 from .whiten import (
@@ -58,7 +58,8 @@ class Passes:
     ) -> None:
         self.problem, self.drift, self.reference = problem, drift, reference
         self.fused = importlib.util.find_spec("llvmlite") is not None
-        self._there: tuple[bytes, Any] = b"", None
+        self._seen = Sight(problem.parameters, problem.signals)
+        self._there: tuple[Any, Any] = None, None
         arrays, rest = eqx.partition(
             (problem.parameters, problem.form), lambda x: isinstance(x, Array | np.ndarray)
         )
@@ -103,10 +104,10 @@ class Passes:
 
     def _signals(self, v: Float[np.ndarray, " v"]) -> tuple[Any, Any]:
         """The first sample and all rows, and their slopes in `v`, of which a leading axis
-        counts; kept for the next pass with the same unknowns."""
-        key = np.asarray(v, float).tobytes()
-        if self._there[0] != key:
-            self._there = key, _rows(self.problem, np.asarray(v, float))
+        counts; kept while the errors of the record stay as they are."""
+        seen = self._seen(v[: len(self.problem.parameters.names)])
+        if self._there[0] is not seen:
+            self._there = seen, _rows(seen, v.size)
         return self._there[1]
 
     def _fused_filter(self, v, levels) -> Filtered:
@@ -221,15 +222,14 @@ def noise_of(levels: Any, drift: Any, reference: Any) -> Noise:
     return Noise(jnp.exp(levels[0]) * reference, jnp.exp(levels[1]) * drift, reference)
 
 
-def _rows(problem: Problem, v: Float[np.ndarray, " v"]):
-    """What is seen of a log with the errors of its record taken away, the first sample and
-    the rows, and the slopes of both in `v`, of which a leading axis counts: of states and
-    constants there are none."""
-    k = len(problem.parameters.names)
-    signals, of_u, of_y = seen(problem.parameters, problem.signals, v[:k])
+def _rows(seen: tuple[Signals, np.ndarray, np.ndarray], unknowns: int):
+    """Of what is `seen` of a log with the errors of its record taken away, the first sample
+    and the rows, and the slopes of both in the `unknowns`, of which a leading axis counts:
+    of states and constants there are none."""
+    signals, of_u, of_y = seen
     found = (signals.u[0], signals.y[0]), rows_of(signals)
-    slopes = jax.tree.map(lambda x: np.zeros((v.size, *x.shape)), found)
-    for j in range(k):
+    slopes = jax.tree.map(lambda x: np.zeros((unknowns, *x.shape)), found)
+    for j in range(len(of_u)):
         if of_u[j].any() or of_y[j].any():
             (u0, y0), rows = slopes
             u0[j], y0[j] = of_u[j][0], of_y[j][0]

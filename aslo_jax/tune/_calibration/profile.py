@@ -65,10 +65,10 @@ def profile(
     - `enough`: where the interval is no parabola, the distance from which on it is too wide
       to matter: where it reaches there, no end is looked for.
     """
-    import scipy.stats  # heavy to import, and needed here only
+    from scipy.special import chdtri  # heavy to import
 
     walk, sides = _Walk(evaluate, best, j, variance), (-1.0, 1.0)
-    one, two = (float(scipy.stats.chi2.ppf(confidence, n)) for n in (degrees, 2))
+    one, two = (float(chdtri(n, 1.0 - confidence)) for n in (degrees, 2))
     inflated = inflation(best)
     limit, width = one * inflated, float(np.sqrt(one * inflated)) * deviation
     ends = [walk.near(side, width, limit, farthest) for side in sides]

@@ -23,7 +23,7 @@ from ..._relations import Quadratic, Rate
 from ..._replay import replay
 from ...engines._frontend.lower import NotFusible
 from ...observers import AlgebraicObserver, Estimate
-from .imperfections import seen
+from .imperfections import Sight
 from .kept import run_kept
 from .parameters import Parameters
 from .predict import observers_of, relations_of, residual
@@ -86,6 +86,7 @@ class Relative:
     ) -> None:
         self.parameters, self.observers, self.tested = parameters, observers, tested
         self.t, self.signals, self.opened = t, signals, opened
+        self._seen = Sight(parameters, signals)
         self.fused = importlib.util.find_spec("llvmlite") is not None
         arrays, self._rest = eqx.partition(
             (parameters, observers), lambda x: isinstance(x, Array | np.ndarray)
@@ -98,7 +99,7 @@ class Relative:
         """Residuals and their slopes; those of the parameters themselves, which keep what a
         record does not tell at home, come first."""
         whole = np.concatenate([q, np.zeros(self.tested)])
-        signals, du, dy = seen(self.parameters, self.signals, whole)
+        signals, du, dy = self._seen(whole)
         rows, slopes = [q / PRIOR], [np.eye(q.size) / PRIOR]
         begun = self.observers(self.parameters.place(whole).model)
         for j, observer in enumerate(begun):
