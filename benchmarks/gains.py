@@ -62,7 +62,7 @@ def tuned(name: str) -> dict[str, dict[str, float]]:
             configure(_with(content, candidates, k)).experiment.observers
             for k in range(CANDIDATES)
         ]
-        search = _Search(content, observers[0]) if search is None else search
+        search = Search(content, observers[0]) if search is None else search
         found = search(observers)
         for observer, errors in found.items():
             best = int(np.argmin(errors))
@@ -78,15 +78,18 @@ def tuned(name: str) -> dict[str, dict[str, float]]:
 Engine = Literal["fused", "scan"]
 
 
-class _Search:
-    """The median rms error of many sets of gains, on the same samples."""
+class Search:
+    """The median rms error of many sets of gains, on the same `count` samples."""
 
-    def __init__(self, content: dict[str, Any], like: Any):
+    def __init__(
+        self, content: dict[str, Any], like: Any, seed: int = SEED, count: int = SAMPLES
+    ):
         found = configure(content)
         rms = content["metrics"]["rms"]
         self.scale = np.ones(len(found.entries)) if found.scale is None else found.scale
-        self.sampler = Sampler(found.experiment, found.spread, SEED, SAMPLES)
-        self.samples = self.sampler(np.arange(SAMPLES), self.sampler.values(0, SAMPLES))
+        self.sampler = Sampler(found.experiment, found.spread, seed, count)
+        self.samples = self.sampler(np.arange(count), self.sampler.values(0, count))
+        self.count = count
         # The matrix exponential is no straight line, which the fused engine needs where
         # its matrix differs between lanes.
         slow = [name for name, observer in like.items() if _is_linear(observer)]
@@ -122,19 +125,24 @@ class _Search:
         gains = [eqx.filter(each, eqx.is_inexact_array_like) for each in observers]
 
         def stacked(*leaves):
-            return jnp.repeat(jnp.stack([jnp.asarray(x) for x in leaves]), SAMPLES, axis=0)
+            return jnp.repeat(
+                jnp.stack([jnp.asarray(x) for x in leaves]), self.count, axis=0
+            )
 
         tiled = jax.tree.map(lambda x: jnp.concatenate([x] * len(observers)), self.samples)
         return {"observers": jax.tree.map(stacked, *gains), "sample": tiled}
 
     def __call__(self, observers: list[Any]) -> dict[str, np.ndarray]:
+        return {name: np.median(x, axis=1) for name, x in self.errors(observers).items()}
+
+    def errors(self, observers: list[Any]) -> dict[str, np.ndarray]:
+        """The rms errors of every set, shape `(sets, count)`."""
         found = {}
         for names, runner in self.runners:
             chosen = [{name: each[name] for name in names} for each in observers]
             for name, x in runner(self._lanes(chosen)).metrics.items():
                 rms = np.linalg.norm(np.asarray(x) / self.scale, axis=1)
-                rms = np.where(np.isnan(rms), np.inf, rms).reshape(-1, SAMPLES)
-                found[name] = np.median(rms, axis=1)
+                found[name] = np.where(np.isnan(rms), np.inf, rms).reshape(-1, self.count)
         return found
 
 

@@ -51,9 +51,15 @@ def regimes() -> dict[str, Regime]:
     }
 
 
-def samples(regime: str, seeds: Any, gains: Any = ((0.0,),), wrong: Any = ((0.0, 0.0),)):
+def samples(
+    regime: str,
+    seeds: Any,
+    gains: Any = ((0.0,),),
+    wrong: Any = ((0.0, 0.0),),
+    among: dict[str, Regime] | None = None,
+):
     """Every row of `gains`, shape `(trials, g)`, and every pair of `wrong` parameters, with
-    every seed."""
+    every seed, of a regime `among` those of this module, or others."""
     import jax
     import jax.numpy as jnp
     import numpy as np
@@ -62,8 +68,8 @@ def samples(regime: str, seeds: Any, gains: Any = ((0.0,),), wrong: Any = ((0.0,
 
     rng = np.random.default_rng(seeds[0])
     angle = rng.uniform(0.0, 2 * np.pi, len(seeds))
-    which = list(regimes()).index(regime)
-    begun = regimes()[regime]
+    among = regimes() if among is None else among
+    which, begun = list(among).index(regime), among[regime]
     offset = rng.uniform(2.0, 14.0, len(seeds)) * begun.spread
     keys = jax.vmap(aslo.random.key)(jnp.asarray(list(seeds)))
     gains, wrong = np.asarray(gains), np.asarray(wrong)
@@ -109,8 +115,9 @@ def _begun() -> Any:
     return Begun
 
 
-def experiment(observer: Any, sample: Any) -> Any:
-    """The closed loop of a sample: its motor turns at an `angle` (rad) at the start."""
+def experiment(observer: Any, sample: Any, among: dict[str, Regime] | None = None) -> Any:
+    """The closed loop of a sample, in a regime `among` those of this module, or others: its
+    motor turns at an `angle` (rad) at the start."""
     import jax.numpy as jnp
 
     import aslo_jax as aslo
@@ -118,7 +125,7 @@ def experiment(observer: Any, sample: Any) -> Any:
     from aslo_jax.disturbances import SampledNoise
     from aslo_jax.plants._machine import MachineState, direction
 
-    every = list(regimes().values())
+    every = list((regimes() if among is None else among).values())
 
     def chosen(which):
         def at(t):

@@ -24,6 +24,9 @@ PLAUSIBLE = {"output_offset": 0.02, "dead_time": 0.05, "delay": 0.5}
 # held voltage bends a current, may look like a delay along thousands of rows: four of them.
 CERTAIN = 25.0
 NOTABLE = 0.1  # of a half width, by which an error widens an interval
+# Of a parameter's logarithm: what a fit has for its interval is of first order, and says
+# nothing of one that enters nonlinearly over more than that.
+STRAIGHT = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,7 +84,7 @@ def widened(
     profiles: Sequence[Profile], others: Sequence[Alternative], confidence: float
 ) -> list[Profile]:
     """The profiles with intervals that hold whichever one of the alternatives is right, or
-    none of them."""
+    none of them; without ends where an alternative cannot tell them."""
     from scipy.special import chdtri  # heavy to import
 
     # As of a profile where that of another parameter is no parabola.
@@ -91,6 +94,7 @@ def widened(
         low, high, allowed = profile.low, profile.high, []
         for other in others:
             reach = factor * other.deviation[j] + other.doubt[j]
+            reach = reach if reach < STRAIGHT else np.inf
             ends = float(other.place[j] - reach), float(other.place[j] + reach)
             notable = 0.5 * NOTABLE * (profile.high - profile.low)
             if ends[0] < profile.low - notable or ends[1] > profile.high + notable:
