@@ -19,6 +19,7 @@ from . import (
     switching,
     systems,
     tuning,
+    varying,
     verdict,
 )
 
@@ -39,6 +40,7 @@ BENCHMARKS = {
     "peers": functools.partial(peers.main, "--install" in sys.argv),
     "pmsm": functools.partial(pmsm.main, quick),
     "tuning": functools.partial(tuning.main, quick),
+    "varying": varying.main,
 }
 
 if __name__ == "__main__":

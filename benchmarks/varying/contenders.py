@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 HIGHEST = 3000.0  # rad/s, of a schedule that follows the speed
-Completion = Any
 
 
 class Contender(NamedTuple):
@@ -12,7 +11,7 @@ class Contender(NamedTuple):
     information, the box of each gain is searched in its logarithm; `bank`: the second is
     that of a further row instead."""
 
-    filters: Callable[..., tuple[Any, Any]]
+    filters: Callable[..., tuple[Any, ...]]
     gains: dict[str, tuple[float, float]]
     bank: bool = False
 
@@ -64,14 +63,20 @@ def by_speed() -> dict[str, Contender]:
     def one(relation, per_speed, low):
         return (rate(relation, per_speed, low),) * 2
 
-    def two(relation, per_speed, low, forgetting):
-        slow = rate(relation, per_speed * forgetting, low * forgetting)
-        return rate(relation, per_speed, low), slow
+    def information(relation, cutoff, per_speed, low):
+        return LowPass(cutoff), rate(relation, per_speed, low)
+
+    def both(relation, slower, per_speed, low):
+        own = rate(relation, per_speed * slower, low * slower)
+        return own, rate(relation, per_speed, low)
 
     gains = {"per speed": (0.03, 10.0), "low, rad/s": (0.3, 100.0)}
     return {
         "by speed": Contender(one, gains),
-        "by speed, two rates": Contender(two, gains | {"forgetting": (0.03, 1.0)}),
+        "information by speed": Contender(
+            information, {"cutoff, rad/s": (0.1, 100.0)} | gains
+        ),
+        "both by speed": Contender(both, {"filter, over it": (0.01, 3.0)} | gains),
     }
 
 
