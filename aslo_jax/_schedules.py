@@ -59,10 +59,13 @@ class PerSpeed(AbstractSchedule):
     - `per_speed`: the rate over the speed (1), about one;
     - `low`, `high`: the limits of the rate (rad/s); `low` at standstill;
     - `bandwidth` of the loop (rad/s);
+    - `enough`: the certificate (1) below which the rate is less, in proportion: what an
+      uncertain estimate turns by is no speed, and forgetting would leave it uncertain;
     - `vector(u, y, value)`: the vector of two entries that turns, by default the estimate;
       of a motor `value - L y` is the magnet's flux, without the armature's.
 
-    The loop holds its speed while the estimate coasts.
+    The loop holds its speed while the estimate coasts. Of an [`AlgebraicObserver`][] the
+    rate of the `forgetting` matters most.
 
     Source: theory, section 12.
 
@@ -74,12 +77,14 @@ class PerSpeed(AbstractSchedule):
     low: Float[Array, ""] = eqx.field(converter=real, default=2.0)
     high: Float[Array, ""] = eqx.field(converter=real, default=300.0)
     bandwidth: Float[Array, ""] = eqx.field(converter=real, default=60.0)
+    enough: Float[Array, ""] = eqx.field(converter=real, default=0.1)
     vector: Callable[[PyTree, PyTree, Array], Array] = _direction
 
     def __check_init__(self) -> None:
         check_limits(self)
         positive("per_speed", self.per_speed)
         positive("bandwidth", self.bandwidth, "rad/s")
+        positive("enough", self.enough)
         function("vector", self.vector)
 
     @property
@@ -90,6 +95,8 @@ class PerSpeed(AbstractSchedule):
         zero = jnp.zeros_like(self.bandwidth)
         start = _Track(zero, zero, zero - 1.0)
         X, close = F.loop(_Follow(self.bandwidth), start, "loop")
+        law = LowPass(self.bandwidth)
+        seen, keep = F.loop(law, zero, "certificate")
 
         def closed(estimate):
             turning = self.vector(u, y, estimate.value)
@@ -100,8 +107,10 @@ class PerSpeed(AbstractSchedule):
                 )
             trust = jnp.where(estimate.coasting | F.missing, zero, zero + 1.0)
             close((jnp.arctan2(turning[1], turning[0]), trust))
+            keep(law.inject(estimate.certificate))
 
-        return Paced(self.per_speed * jnp.abs(X.speed), closed)
+        share = jnp.clip(seen / self.enough, 0.0, 1.0)
+        return Paced(self.per_speed * share * jnp.abs(X.speed), closed)
 
 
 class Certified(AbstractSchedule):

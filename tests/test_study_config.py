@@ -173,7 +173,7 @@ def test_a_rate_that_follows_the_speed():
     assert float(found.completion.forgetting.rate.per_speed) == 0.2
     for wrong, message in (
         ({"cutoff": {"per_speed": -1.0}}, "observers.A.cutoff"),
-        ({"cutoff": {"low": 9.0, "high": 4.0}}, "`low` must be at most `high`"),
+        ({"cutoff": {"low": 9.0, "high": 4.0}}, "`low` of a rate must be at most `high`"),
     ):
         with pytest.raises(ConfigurationError, match=message):
             built(whole, **wrong)

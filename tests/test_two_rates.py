@@ -51,7 +51,7 @@ def ratio(machine, motor, profile):
     two = machine.rates(log)
     assert set(two) == {"cutoff", "forgetting", "pll_bandwidth"}
     assert "noise of" in two["forgetting"].reason
-    assert two["cutoff"].value < two["forgetting"].value
+    assert two["cutoff"].least < two["forgetting"].least
     speed = aslo.machines.electrical_speed(log.t, log.u, log.y, motor.R)
     one = machine.rates(log, {"cutoff": aslo.machines.cutoff_for(speed)})
     assert "forgetting" not in one

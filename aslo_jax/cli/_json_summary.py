@@ -34,7 +34,7 @@ def summary_of(done: Done) -> dict[str, Any]:
             "substeps": summary.substeps,
             "noise": _noise(summary),
             "smoothed": summary.smoothed,
-            "rates": {name: float(rate.value) for name, rate in summary.rates.items()},
+            "rates": {name: rate.as_json() for name, rate in summary.rates.items()},
             "coasting": {
                 suffix.removeprefix("_"): {
                     "rows": rows,

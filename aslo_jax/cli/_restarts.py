@@ -53,6 +53,6 @@ def stretches(rows: int, suspect: Rows | None) -> list[slice]:
 
 def slowest(rates: Rates) -> float:
     """Of the filters (rad/s); infinite where there is none."""
-    of = {name: rate.value for name, rate in rates.items() if name != "pll_bandwidth"}
+    of = {name: rate.least for name, rate in rates.items() if name != "pll_bandwidth"}
     filters = [rate for rate in of.values() if rate > 0.0]
     return min(filters, default=np.inf)

@@ -124,8 +124,8 @@ class Summary:
         self.infinite += int(rows.sum())
 
     def _settled(self, start: float) -> float:
-        loops = [self.rates[k].value for k in ("gain", "pll_bandwidth") if k in self.rates]
-        every = [rate.value for rate in self.rates.values()]
+        loops = [self.rates[k].least for k in ("gain", "pll_bandwidth") if k in self.rates]
+        every = [rate.least for rate in self.rates.values()]
         if not every:  # a Kalman filter that no loop follows has nothing to forget
             return start
         rate = min(loops) if loops else max(every)
@@ -179,8 +179,8 @@ class Summary:
         )
         if is_lifted(settings):
             yield from said_of(settings, ("A", "V"), self.noise)
-        for name, (rate, reason) in self.rates.items():
-            yield f"  {name} {rate:.4g} rad/s" + (f" ({reason})" if reason else "")
+        for name, rate in self.rates.items():
+            yield f"  {name} {rate}" + (f" ({rate.reason})" if rate.reason else "")
         for suffix, rows in self.coasting.items():
             yield f"coasting{suffix}: {100 * (rows / t.size):.3g} % of the rows ({rows})"
         if self.scored:

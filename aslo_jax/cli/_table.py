@@ -170,7 +170,7 @@ class Estimator:
         replayed = Smoothed if smoothed else Replayed
         self.observed = replayed(machine.state_observer(rates), interval, substeps)
         self._tracked = [q for q in machine.quantities if q.tracks is not None]
-        bandwidth = rates["pll_bandwidth"].value if self._tracked else 0.0
+        bandwidth = rates["pll_bandwidth"].constant if self._tracked else 0.0
         self._bandwidth = bandwidth
         self._loops = {
             q.name: Replayed(PhaseLockedLoop(bandwidth, wraps=False), interval)

@@ -81,7 +81,7 @@ def tune(
     were found; comments and settings stay.
     """
     double_precision()
-    from ..described import calibrate_study, changed, machine_of, tune_study
+    from ..described import by_table, calibrate_study, changed, machine_of, tune_study
     from ..logs import read_log
     from ..schema._toml_text import rewritten, rounded
     from ..study._config import read_study
@@ -140,7 +140,8 @@ def tune(
         )
         for name, each in tuned.items():
             if each.improved:
-                values[f"observers.{name}"] = {k: rounded(v) for k, v in each.after.items()}
+                new = {k: rounded(v) for k, v in each.after.items()}
+                values |= by_table(name, new)
             else:
                 message = f"{name}: {judged(each)}"
                 warned.append({"kind": "no_improvement", "message": message, "rows": []})

@@ -13,6 +13,7 @@ from ._calibrated import (
 from ._operated import calibrate_study as calibrate_study, operation_in as operation_in
 from ._tuned import (
     Tuned as Tuned,
+    by_table as by_table,
     changed as changed,
     compared as compared,
     machine_of as machine_of,
@@ -21,6 +22,7 @@ from ._tuned import (
 
 __all__ = [
     "Tuned",
+    "by_table",
     "calibrate_machine",
     "calibrate_study",
     "calibrated_text",

@@ -31,7 +31,7 @@ CHANGE = 1.25  # of a value, to see which leaves of an experiment it becomes
 class Tuned:
     """The gains of one observer.
 
-    - `before`, `after`: by key, in the units of the file;
+    - `before`, `after`: by key, `cutoff` or `cutoff.per_speed`, in the units of the file;
     - `rms_before`, `rms_after`: the root of the mean square error over fresh samples, in
       the units of the estimate (divided by the file's `scale` where it has one);
     - `less`: by which share of it the mean square error is less after than before, (low,
@@ -65,8 +65,9 @@ def tune_study(
     """Tune the gains of every observer of a study's file, each on its own.
 
     - `content`: the file, as TOML gives it;
-    - `gains`: `"NAME.key"` of those to tune, by default every number of an observer that
-      is a parameter of it as it stands;
+    - `gains`: `"NAME.key"` of those to tune, `"NAME.cutoff.low"` of a rate that follows the
+      speed; by default every number of an observer that is a parameter of it as it stands,
+      and `per_speed` of such rates;
     - `samples`: of the file's spread, drawn with `seed`, the same at every iteration; as
       many fresh ones judge the result;
     - `iterations`: of [`fit`][] at most; `after` (s): from when on errors count;
@@ -113,31 +114,63 @@ def changed(
     return new
 
 
+def by_table(name: str, values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """New `values` of the observer `name` by their keys, by table of the file and key."""
+    found: dict[str, dict[str, Any]] = {}
+    for key, value in values.items():
+        inner, _, last = key.rpartition(".")
+        table = f"observers.{name}.{inner}" if inner else f"observers.{name}"
+        found.setdefault(table, {})[last] = value
+    return found
+
+
+def _numbers(table: Mapping[str, Any], *, every: bool) -> dict[str, float]:
+    """The numbers of an observer's table by key, with those of its rates that follow the
+    speed: all of them, or `per_speed` alone."""
+    found = {}
+    for key, value in table.items():
+        if _is_number(value):
+            found[key] = value
+        elif isinstance(value, Mapping):
+            own = value if every else {k: v for k, v in value.items() if k == "per_speed"}
+            found |= {f"{key}.{k}": v for k, v in own.items() if _is_number(v)}
+    return found
+
+
+def _bounds(key: str, numbers: Mapping[str, float]) -> tuple[float, float]:
+    """Of a gain: the limits of a rate stay the right way round."""
+    low, high = numbers[key] / SPAN, numbers[key] * SPAN
+    rate, _, last = key.rpartition(".")
+    ends = [numbers.get(f"{rate}.{end}") for end in ("low", "high")]
+    if last in ("low", "high") and None not in ends:
+        between = float(np.sqrt(ends[0] * ends[1]))
+        return (low, between) if last == "low" else (between, high)
+    return low, high
+
+
 def _keys(
     content: Mapping[str, Any], configuration: Configuration, gains: Sequence[str]
 ) -> dict[str, dict[str, list[int]]]:
     """By observer and key the places of its leaves that hold the value of the key."""
     asked: dict[str, list[str]] = {}
+    numbers = {
+        f"{name}.{key}": (name, key)
+        for name, table in content["observers"].items()
+        for key in _numbers(table, every=True)
+    }
     for gain in gains:
-        name, _, key = gain.rpartition(".")
-        table = content["observers"].get(name, {})
-        if not _is_number(table.get(key)):
-            numbers = [
-                f"{n}.{k}"
-                for n, t in content["observers"].items()
-                for k, v in t.items()
-                if _is_number(v)
-            ]
+        if gain not in numbers:
             raise ValueError(
                 f"Argument `gains` must name a number of an observer, one of "
                 f"{', '.join(numbers)}, but got {gain!r}."
             )
+        name, key = numbers[gain]
         asked.setdefault(name, []).append(key)
     keys: dict[str, dict[str, list[int]]] = {}
     for name, table in content["observers"].items():
         if gains and name not in asked:
             continue
-        for key in asked.get(name, [k for k, v in table.items() if _is_number(v)]):
+        for key in asked.get(name, list(_numbers(table, every=False))):
             places = _places(content, configuration, name, key)
             if places:
                 keys.setdefault(name, {})[key] = places
@@ -161,9 +194,9 @@ def _places(
 ) -> list[int]:
     """Of the leaves of an observer that are the value of a key, and no other leaf depends
     on it."""
-    value = content["observers"][name][key]
+    value = _numbers(content["observers"][name], every=True)[key]
     try:
-        other = configure(changed(content, {f"observers.{name}": {key: CHANGE * value}}))
+        other = configure(changed(content, by_table(name, {key: CHANGE * value})))
     except ConfigurationError:
         return []
     old, new = (
@@ -202,14 +235,15 @@ def _tuned(
         return found.metrics["cost"]
 
     loss = lambda gains, at: jnp.mean(costs(gains, at))
-    before = {k: float(content["observers"][name][k]) for k in places}
+    numbers = _numbers(content["observers"][name], every=True)
+    before = {k: float(numbers[k]) for k in places}
     start = {k: jnp.asarray(v) for k, v in before.items()}
     fitted = fit(
         start,
         loss,
         where=lambda gains: [gains[k] for k in before],
         key=key,
-        bounds=[(v / SPAN, v * SPAN) for v in before.values()],
+        bounds=[_bounds(k, numbers) for k in before],
         iterations=iterations,
         mode="forward",
     )

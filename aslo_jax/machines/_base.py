@@ -4,14 +4,13 @@ import abc
 import dataclasses
 import inspect
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, get_args
+from typing import Any, ClassVar, Generic, TypeVar, get_args
 
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._choices import CompletionName, FilterStart
 from .._completions import LeastSquares, Repeat
-from .._filters import LowPass
 from .._guard import Guard
 from ..diagnosis import Circle
 from ..logs import Log, Signals
@@ -22,6 +21,7 @@ from ._condensed import CondensedLog, Condensing, blocks
 from ._keys import CalibrationTable
 from ._lifted import NO_EFFECT, is_lifted, kind_of, no_effect
 from ._noise import Groups, Noise, pooled, white_noise
+from ._rates import Rate, Rates, low_pass
 from ._study import Study
 
 Columns = dict[str, np.ndarray]
@@ -66,16 +66,6 @@ class Layout:
         return list(dict.fromkeys(quantity.suffix for quantity in self.quantities))
 
 
-class Rate(NamedTuple):
-    """The `value` of a rate of an observer (rad/s), and the `reason` for it, a clause,
-    empty where the user gave it.
-    """
-
-    value: float
-    reason: str = ""
-
-
-Rates = dict[str, Rate]
 FROM_THE_LOG = ("cutoff", "pll_bandwidth")
 
 
@@ -162,7 +152,7 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         """The plant described by `[machine]`."""
 
     @abc.abstractmethod
-    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, float]) -> Rates:
+    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, Any]) -> Rates:
         """The rates of the observer that are not `stated`, where there are defaults for
         them without a log or, if there is one, `condensed`, with it. Refuses a stated rate
         that does not suit the log."""
@@ -288,8 +278,9 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         found = pooled([white_noise(log.u[k], log.y[k], *groups) for k in of])
         return self.with_noise(found)[0]
 
-    def stated(self, given: Mapping[str, float] | None = None) -> dict[str, float]:
-        """The rates that are `given` (rad/s) or in the file, by their keys."""
+    def stated(self, given: Mapping[str, float] | None = None) -> dict[str, Any]:
+        """The rates that are `given` (rad/s) or in the file, by their keys: numbers, or
+        tables of those that follow the speed."""
         given = {} if given is None else given
         known = [k for k, f in type(self.observer).model_fields.items() if is_rate(f)]
         for name in given:
@@ -330,7 +321,7 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
 
 def algebraic(
     relation: Callable,
-    cutoff: float,
+    cutoff: Rate,
     *,
     threshold: float,
     completion: CompletionName = "least-squares",
@@ -338,17 +329,17 @@ def algebraic(
     gain: Rate | None = None,
     forgetting: Rate | None = None,
 ) -> AbstractObserver:
-    """The ASLO with a filter of `cutoff` (rad/s), or with a `gain` (rad/s) the A-ASLO; the
-    least squares forget at the rate `forgetting` (rad/s), by default the cutoff."""
-    rate = None if forgetting is None else LowPass(forgetting.value)
+    """The ASLO with a filter of a `cutoff`, or with a `gain` (rad/s) the A-ASLO; the least
+    squares forget at the rate `forgetting`, by default the cutoff."""
+    rate = None if forgetting is None else low_pass(forgetting.value, relation)
     observer = AlgebraicObserver(
         relation,
-        LowPass(cutoff),
+        low_pass(cutoff.value, relation),
         completion=LeastSquares(rate) if completion == "least-squares" else Repeat(),
         guard=Guard(threshold=threshold),
         start=start,
     )
-    return observer if gain is None else Asymptotic(observer, gain.value)
+    return observer if gain is None else Asymptotic(observer, gain.constant)
 
 
 def in_columns(

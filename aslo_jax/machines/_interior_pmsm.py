@@ -127,9 +127,9 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
             )
         return InteriorPMSM(**self.machine.model_dump(exclude={"kind"}))
 
-    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, float]) -> Rates:
+    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, Any]) -> Rates:
         rates = motor.motor_rates(log, stated)
-        cutoff = rates["cutoff"].value if "cutoff" in rates else stated.get("cutoff")
+        cutoff = rates["cutoff"].constant if "cutoff" in rates else stated.get("cutoff")
         needed = self.observer.saliency == "self-consistent" and "gain" not in stated
         if needed and cutoff is not None:
             rates["gain"] = Rate(cutoff, "that of the filter")
@@ -142,13 +142,13 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
         settings = self.observer
         if is_lifted(settings):
             return lifted(self._salient(), settings)
-        cutoff = rates["cutoff"].value
+        cutoff = rates["cutoff"].constant
         if settings.saliency == "self-consistent":
             least_squares = settings.completion == "least-squares"
             return SelfConsistent(
                 self.plant().self_consistent_relation(),
                 LowPass(cutoff),
-                rates["gain"].value,
+                rates["gain"].constant,
                 initial=jnp.zeros(2),
                 completion=LeastSquares() if least_squares else Repeat(),
                 guard=Guard(threshold=settings.threshold),
@@ -156,7 +156,7 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
             )
         return algebraic(
             self._salient(),
-            cutoff,
+            rates["cutoff"],
             threshold=settings.threshold,
             completion=settings.completion,
             start=settings.start,

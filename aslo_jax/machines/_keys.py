@@ -9,14 +9,17 @@ Completion = Literal["least-squares", "repeat"]
 Start = Literal["exact", "paper"]
 
 
-def cutoff(default: str = "from the log", example: float = 150.0) -> Any:
+def cutoff(
+    default: str = "from the log", example: float = 150.0, allowed: str | None = None
+) -> Any:
     text = f"cutoff of the filter, by default {default}"
-    return key(text, "rad/s", default=None, example=example)
+    return key(text, "rad/s", default=None, example=example, allowed=allowed)
 
 
-def forgetting() -> Any:
+def forgetting(allowed: str | None = None) -> Any:
     text = "rate at which the least squares forget, by default that of the filter"
-    return key(f"{text}, or for the noise of the log", "rad/s", default=None, example=80.0)
+    full = f"{text}, or for the noise of the log"
+    return key(full, "rad/s", default=None, example=80.0, allowed=allowed)
 
 
 def completion() -> Any:

@@ -170,7 +170,7 @@ class MagneticBearingDescription(
         table = self.machine.model_dump(exclude={"kind", "resistance"})
         return MagneticBearing(np.asarray(self.machine.resistance), **table)
 
-    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, float]) -> Rates:
+    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, Any]) -> Rates:
         defaults = {
             "cutoff": Rate(CUTOFF, "by default"),
             "velocity_cutoff": Rate(VELOCITY_CUTOFF, "by default"),
@@ -178,14 +178,14 @@ class MagneticBearingDescription(
         return {name: rate for name, rate in defaults.items() if name not in stated}
 
     def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
-        velocity = LowPass(rates["velocity_cutoff"].value)
+        velocity = LowPass(rates["velocity_cutoff"].constant)
         if is_lifted(self.observer):
             flux = lifted(self.plant().flux_relation(), self.observer)
             assert isinstance(flux, Lifted), "bearings offer no other kind"
             return BearingObserver(flux, velocity, Guard(THRESHOLD))
         guard = Guard(threshold=self.observer.threshold)
         flux = AlgebraicObserver(
-            self.plant().flux_relation(), LowPass(rates["cutoff"].value), guard=guard
+            self.plant().flux_relation(), LowPass(rates["cutoff"].constant), guard=guard
         )
         return BearingObserver(flux, velocity, guard)
 

@@ -144,7 +144,7 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
         """The form of its observer."""
         return structure_of(self.plant())
 
-    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, float]) -> Rates:
+    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, Any]) -> Rates:
         fastest = self._fastest_decay()
         if "cutoff" in stated:
             if stated["cutoff"] <= fastest:
@@ -176,8 +176,8 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
         averaged = settings.completion == "least-squares"
         whole = velocity_observer(
             system,
-            LowPass(rates["cutoff"].value),
-            gain=None if gain is None else gain.value,
+            LowPass(rates["cutoff"].constant),
+            gain=None if gain is None else gain.constant,
             form=self.form(),
             completion=LeastSquares() if averaged else Repeat(),
             guard=Guard(threshold=settings.threshold),

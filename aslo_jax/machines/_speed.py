@@ -10,6 +10,8 @@ WINDOW = 0.02  # s
 TURN = 2.0  # rad, in the memory of a filter
 SHARE = 0.05  # of a log, in which it may be less
 SLOWEST = 40.0  # times slower than the typical speed: the least a memory is made for
+CUTOFF = 1.0 / 15.0  # over the speed
+FORGETTING = 1.6  # over the speed, or the drift where that is less
 MINIMUM_CUTOFF = 5.0  # rad/s, what a log of a machine at rest gets
 
 
@@ -142,4 +144,4 @@ def two_rates(speed: float, drift: float) -> tuple[float, float]:
     and the `drift` (rad/s): the rate of the Kalman filter that sees of the flux, a random
     walk, half. Fitted on six motors."""
     speed = max(speed, MINIMUM_CUTOFF)
-    return speed / 15.0, 1.6 * speed * drift / (speed + drift)
+    return CUTOFF * speed, FORGETTING * speed * drift / (speed + drift)

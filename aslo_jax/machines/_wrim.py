@@ -141,7 +141,7 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
     def plant(self) -> Any:
         return WRIM(**self.machine.model_dump(exclude={"kind"}))
 
-    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, float]) -> Rates:
+    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, Any]) -> Rates:
         if "cutoff" in stated:
             rotor = stated.get("rotor_cutoff", stated["cutoff"])
             return {} if "rotor_cutoff" in stated else {"rotor_cutoff": Rate(rotor)}
@@ -175,7 +175,7 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
         def observer(winding, cutoff):
             return algebraic(
                 plant.flux_relation(winding),
-                cutoff.value,
+                cutoff,
                 threshold=settings.threshold,
                 completion=settings.completion,
                 start=settings.start,

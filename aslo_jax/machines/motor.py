@@ -20,8 +20,6 @@ from ._base import (
     Layout,
     MachineError,
     Quantity,
-    Rate,
-    Rates,
     algebraic,
     certified,
     in_columns,
@@ -36,7 +34,10 @@ from ._lifted import (
     turning_deviation,
 )
 from ._noise import Noise, white_noise
+from ._rates import PACE, PerSpeedTable, Rate, Rates
 from ._speed import (
+    CUTOFF,
+    FORGETTING,
     cutoff_for,
     median_interval,
     slow_speed,
@@ -48,6 +49,8 @@ from ._speed import (
 PLL_BANDWIDTH = 100.0  # rad/s, unless the log accelerates fast
 BLOCKS = 25  # of a log, whose mean speeds tell how the speed varies
 LAG = 0.3  # rad: what the angle of a loop may lag by at the acceleration of the log
+FASTEST = 10.0  # times the typical speed: none in a log is faster
+RANGE = 2.0  # of what forgetting two speeds of a log want, from which on it varies
 LONGEST_INTERVAL = 5e-3  # s: 200 Hz, or 200 kHz with time in milliseconds
 
 FLUX = ("flux_alpha", "flux_beta")
@@ -73,7 +76,7 @@ class MotorObserver(ObserverTable):
     1e-7 to 1e-3 and errors above 1 %.
     """
 
-    cutoff: Positive | None = keys.cutoff()
+    cutoff: Positive | PerSpeedTable | None = keys.cutoff(allowed=PACE)
     completion: keys.Completion = keys.completion()
     start: keys.Start = keys.start()
     gain: Positive | None = keys.gain()
@@ -83,7 +86,7 @@ class MotorObserver(ObserverTable):
     output_deviation: _lifted.Deviation | None = _lifted.deviation_key("currents", 0.01)
     input_deviation: _lifted.Deviation | None = _lifted.deviation_key("voltages", 0.1)
     prior: Positive | None = _lifted.prior_key(0.2)
-    forgetting: Positive | None = keys.forgetting()
+    forgetting: Positive | PerSpeedTable | None = keys.forgetting(allowed=PACE)
     parameters: list[_lifted.Parameter] = _PARAMETERS
     deviations: list[Positive] = _DEVIATIONS
     drift: NonNegative = _DRIFT
@@ -128,7 +131,7 @@ def driving(log: Log, resistance: float, noise: Noise | None = None) -> Condense
     return CondensedLog(log.t, v, np.zeros((log.t.size, 0)), {}, noise=noise)
 
 
-def motor_rates(log: Log | None, stated: Mapping[str, float]) -> Rates:
+def motor_rates(log: Log | None, stated: Mapping[str, Any]) -> Rates:
     """The rates of a motor's observer that are not `stated`, from a log of [`driving`][].
 
     A loop with a bandwidth above half of the sampling rate only passes noise on: the
@@ -213,9 +216,12 @@ class AbstractRoundMotor(AbstractDescription[M, MotorObserver], abc.ABC, Generic
     def plant(self) -> AbstractRoundMachine:
         """The motor described by `[machine]`."""
 
-    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, float]) -> Rates:
+    def default_rates(self, log: CondensedLog | None, stated: Mapping[str, Any]) -> Rates:
         rates = motor_rates(log, stated)
-        return rates if log is None else rates | self._two_rates(log, stated)
+        if log is None:
+            return rates
+        every = stated | {name: rate.constant for name, rate in rates.items()}
+        return rates | self._two_rates(log, stated, every["pll_bandwidth"])
 
     def condensed(self, log: Log) -> CondensedLog:
         noise = None
@@ -223,13 +229,16 @@ class AbstractRoundMotor(AbstractDescription[M, MotorObserver], abc.ABC, Generic
             noise = white_noise(log.u, log.y, *self.noise_groups())
         return driving(log, self._values().resistance, noise)
 
-    def _has_two_rates(self, stated: Mapping[str, float]) -> bool:
+    def _has_two_rates(self, stated: Mapping[str, Any]) -> bool:
         settings = self.observer
         plain = settings.completion == "least-squares" and settings.start == "exact"
         return plain and not {"cutoff", "forgetting", "gain"} & stated.keys()
 
-    def _two_rates(self, log: CondensedLog, stated: Mapping[str, float]) -> Rates:
-        """Cutoff and forgetting for a log with noise, where they are left to it."""
+    def _two_rates(
+        self, log: CondensedLog, stated: Mapping[str, Any], bandwidth: float
+    ) -> Rates:
+        """Cutoff and forgetting for a log with noise, where they are left to it; the latter
+        follows the speed, by a loop of that `bandwidth` (rad/s), where that varies."""
         found = log.noise
         if found is None or not self._has_two_rates(stated):
             return {}
@@ -240,8 +249,23 @@ class AbstractRoundMotor(AbstractDescription[M, MotorObserver], abc.ABC, Generic
         drift = float(np.hypot(of_u, values.resistance * of_y) / seen)
         speed = slow_speed(log.t, log.u, float(self.plant().magnet_flux))
         cutoff, forgetting = two_rates(speed, drift)
-        why = f"for {speed:.4g} rad/s, and noise of {of_y:.2g} A and {of_u:.2g} V"
-        return {"cutoff": Rate(cutoff, why), "forgetting": Rate(forgetting, why)}
+        noise = f"noise of {of_y:.2g} A and {of_u:.2g} V"
+        why = f"for {speed:.4g} rad/s, and {noise}"
+        fast = turning_speed(log.t, log.u)
+        if two_rates(fast, drift)[1] < RANGE * forgetting:
+            return {"cutoff": Rate(cutoff, why), "forgetting": Rate(forgetting, why)}
+        # At every speed what a log of that one would have.
+        wide = f"for speeds from {speed:.4g} to {fast:.4g} rad/s, and {noise}"
+        follow = lambda per_speed, low, high: Rate(
+            PerSpeedTable(per_speed=per_speed, low=low, high=high, bandwidth=bandwidth),
+            wide,
+        )
+        return {
+            "cutoff": follow(CUTOFF, cutoff, CUTOFF * FASTEST * fast),
+            "forgetting": follow(
+                FORGETTING, forgetting, max(FORGETTING * drift, forgetting)
+            ),
+        }
 
     def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         settings = self.observer
@@ -250,7 +274,7 @@ class AbstractRoundMotor(AbstractDescription[M, MotorObserver], abc.ABC, Generic
             return lifted(relation, settings)
         return algebraic(
             relation,
-            rates["cutoff"].value,
+            rates["cutoff"],
             threshold=settings.threshold,
             completion=settings.completion,
             start=settings.start,

@@ -8,14 +8,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from .._completions import AbstractCompletion, LeastSquares, Repeat
 from .._filters import LowPass
 from .._guard import Guard
-from .._module import Module
-from .._schedules import PerSpeed
-from .._typing import PyTree
 from ..observers import (
     FO1,
     FO2,
@@ -33,8 +29,9 @@ from ..observers import (
     Unwrapped,
     velocity_observer,
 )
-from ..plants import AbstractMechanicalSystem, FluxRelation
+from ..plants import AbstractMechanicalSystem
 from . import _lifted
+from ._rates import low_pass
 from ._study import Build
 
 Relations = Callable[[Any], Sequence[Any]]  # of a plant
@@ -65,31 +62,6 @@ def algebraic_observer(relation: Any, keys: Any, threshold: float) -> AlgebraicO
     return AlgebraicObserver(
         relation, filter, completion, _guard(keys, threshold), keys.start
     )
-
-
-class _Magnet(Module):
-    """What turns of a motor: its flux without the armature's."""
-
-    inductance: Float[Array, ""]
-
-    def __call__(self, u: PyTree, y: PyTree, value: Array) -> Array:
-        return value - self.inductance * y
-
-
-def low_pass(cutoff: Any, relation: Any) -> LowPass:
-    """The filter of a `cutoff`, a number (rad/s) or the table of one that follows the speed
-    at which the estimate of a `relation` turns.
-
-    **Raises:** `ValueError` for the table with a relation of which nothing turns.
-    """
-    if isinstance(cutoff, float | int):
-        return LowPass(cutoff)
-    if not isinstance(relation, FluxRelation):
-        raise ValueError(
-            "a cutoff that follows the speed needs the flux of a round motor, which this "
-            "machine has not; give a number (rad/s)"
-        )
-    return LowPass(PerSpeed(**cutoff.model_dump(), vector=_Magnet(relation.inductance)))
 
 
 def refuse_keys(keys: Any, *names: str) -> None:

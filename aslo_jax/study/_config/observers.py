@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from ...machines._rates import PACE, PerSpeedTable
 from ...schema import NonNegative, Positive, Table, key
 
 Deviation = Positive | Annotated[list[Positive], Field(min_length=1)]
@@ -21,25 +22,10 @@ class AbstractObserverTable(Table, abc.ABC):
     kind: Any
 
 
-class PerSpeedTable(Table):
-    """A rate that follows the speed at which the estimate turns."""
-
-    per_speed: Positive = key("the rate over that speed (1)", default=1.0)
-    low: Positive = key("the least rate", "rad/s", default=2.0)
-    high: Positive = key("the greatest rate", "rad/s", default=300.0)
-    bandwidth: Positive = key("of the loop that finds the speed", "rad/s", default=60.0)
-
-
-RATE = (
-    "a positive finite number, or { per_speed = 1.0, low = 2.0, high = 300.0 } for a rate "
-    "that follows the speed"
-)
-
-
 class AbstractAlgebraicTable(AbstractObserverTable, abc.ABC):
     """An algebraic observer, of any machine."""
 
-    cutoff: Positive | PerSpeedTable = key("cutoff of the filter", "rad/s", allowed=RATE)
+    cutoff: Positive | PerSpeedTable = key("cutoff of the filter", "rad/s", allowed=PACE)
     completion: Literal["least-squares", "repeat"] = key(
         "from one row to two", default="least-squares"
     )
@@ -49,7 +35,7 @@ class AbstractAlgebraicTable(AbstractObserverTable, abc.ABC):
         "cutoff of the information matrix, by default that of the filter",
         "rad/s",
         default=None,
-        allowed=RATE,
+        allowed=PACE,
     )
     velocity_cutoff: Positive = key(
         "cutoff of the velocity's filter, of a magnetic bearing", "rad/s", default=200.0
