@@ -141,9 +141,9 @@ def _bounds(key: str, numbers: Mapping[str, float]) -> tuple[float, float]:
     """Of a gain: the limits of a rate stay the right way round."""
     low, high = numbers[key] / SPAN, numbers[key] * SPAN
     rate, _, last = key.rpartition(".")
-    ends = [numbers.get(f"{rate}.{end}") for end in ("low", "high")]
-    if last in ("low", "high") and None not in ends:
-        between = float(np.sqrt(ends[0] * ends[1]))
+    ends = [numbers[k] for k in (f"{rate}.low", f"{rate}.high") if k in numbers]
+    if last in ("low", "high") and len(ends) == 2:
+        between = float(np.sqrt(np.prod(ends)))
         return (low, between) if last == "low" else (between, high)
     return low, high
 

@@ -220,8 +220,8 @@ class AbstractRoundMotor(AbstractDescription[M, MotorObserver], abc.ABC, Generic
         rates = motor_rates(log, stated)
         if log is None:
             return rates
-        every = stated | {name: rate.constant for name, rate in rates.items()}
-        return rates | self._two_rates(log, stated, every["pll_bandwidth"])
+        loop = rates.get("pll_bandwidth") or Rate(stated["pll_bandwidth"])
+        return rates | self._two_rates(log, stated, loop.constant)
 
     def condensed(self, log: Log) -> CondensedLog:
         noise = None
