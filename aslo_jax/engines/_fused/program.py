@@ -15,7 +15,7 @@ from ..._typing import PyTree
 from .._backend.step import Body, Step, chosen
 from .._backend.target import Target
 from .._frontend.lower import NotFusible, check_numbers, flatten
-from .._ir.graph import Goal, Graph
+from .._ir.graph import MACHINE_CODE, Goal, Graph
 from .._ir.loop import Loop, varying
 from .._passes import optimised
 from .._runtime.columns import COLUMNS, blank, columns_of, gathered, stored
@@ -125,7 +125,7 @@ class Inputs:
     """A graph of inputs only, and the nodes of each of their leaves."""
 
     def __init__(
-        self, carry: PyTree, inputs: dict[str, PyTree], goal: Goal = Goal()
+        self, carry: PyTree, inputs: dict[str, PyTree], goal: Goal = MACHINE_CODE
     ) -> None:
         self.graph = Graph(goal)
         step = self.graph.input(np.int64, ("step", 0))
@@ -144,7 +144,7 @@ class Inputs:
 
 
 def looped(
-    bodies: Bodies, inputs: dict[str, PyTree], goal: Goal = Goal()
+    bodies: Bodies, inputs: dict[str, PyTree], goal: Goal = MACHINE_CODE
 ) -> tuple[Loop, Traced]:
     """The loop of functions traced for inputs of the given shapes."""
     traced = trace(bodies, inputs)

@@ -60,6 +60,7 @@ class Goal(NamedTuple):
     many: int = 32
 
 
+MACHINE_CODE = Goal()
 # Their results are booleans.
 COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")
 COMMUTES = {"add", "mul", "and", "or", "xor", "eq", "ne"}
@@ -68,7 +69,7 @@ COMMUTES = {"add", "mul", "and", "or", "xor", "eq", "ne"}
 class Graph:
     """Nodes by number, in an order in which every node follows its arguments."""
 
-    def __init__(self, goal: Goal = Goal()) -> None:
+    def __init__(self, goal: Goal = MACHINE_CODE) -> None:
         self.goal = goal
         self.nodes: list[Node] = []
         self.branches: dict[int, None] = {}  # conditions that were branches in the source
