@@ -249,7 +249,7 @@ def harness(
         "tolerance": TOLERANCE[traced.dtype.name],
         "given": _rows(vectors.inputs),
         "expected": _rows(vectors.outputs),
-        "shared": _calls(traced, prefix),
+        "shared": calls(traced, prefix),
         "declared": f"    {prefix}_parameters parameters;\n" if own else "",
         "defaults": f"    {prefix}_defaults(&parameters);\n" if own else "",
         "passed": " &parameters," if own else "",
@@ -304,7 +304,7 @@ def is_held(field: Field) -> bool:
     return field.name == "u" or field.name.startswith("u_")
 
 
-def _calls(traced: Traced, prefix: str) -> str:
+def calls(traced: Traced, prefix: str) -> str:
     """Functions on flat arrays of numbers."""
     parameters = f"const {prefix}_parameters *parameters, " if traced.parameters else ""
     own = "parameters, " if traced.parameters else ""

@@ -39,7 +39,7 @@ def sources(module: Any) -> list[str]:
     def visit(part: Any) -> None:
         kind = type(part)
         doc = " ".join((kind.__doc__ or "").partition("**Raises")[0].split())
-        doc = re.sub(r"\[`([^`]*)`\]\[\]", r"`\1`", doc)
+        doc = re.sub(r"\[`([^`]*)`\]\[[^]]*\]", r"`\1`", doc)
         if not doc.startswith(f"{kind.__name__}("):  # which a dataclass makes up
             name = f"{kind.__module__.split('.')[0]}.{kind.__qualname__}"
             said = [f"{name}: {re.split(r'[.:](?= [-A-Z])', doc)[0]}"] if doc else [name]
