@@ -200,8 +200,8 @@ def _of_motor(estimate: Any) -> dict[str, Any]:
         "flux": flux.value,
         "certificate": flux.certificate,
         "coasting": flux.coasting,
-        "angle": loop.value[0],
-        "speed": loop.value[1],
+        "angle": loop.value[..., 0],
+        "speed": loop.value[..., 1],
         "coasting_speed": flux.coasting | loop.coasting,
     }
     return found if flux.covariance is None else found | {"covariance": flux.covariance}

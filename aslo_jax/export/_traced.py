@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from .._typing import PyTree
@@ -21,7 +22,7 @@ from ._fields import Field, fields_of
 
 # Loops where they are shorter than what they stand for; a processor of a drive has little
 # memory for a program, and none of its own for wide products.
-PORTABLE = Goal(fuses=False, large=100, many=16)
+PORTABLE = Goal(fuses=False, large=100, many=4)
 # Passes that give the state another meaning, or need it to run over many steps.
 UNFIT = ("commoning", "factors", "timetable", "unswitching")
 
@@ -64,7 +65,7 @@ def in_type(tree: PyTree, dtype: np.dtype) -> PyTree:
             return x
         if isinstance(x, jax.ShapeDtypeStruct):
             return jax.ShapeDtypeStruct(x.shape, dtype)
-        return np.asarray(x, dtype)
+        return jnp.asarray(x, dtype)
 
     return jax.tree.map(one, tree)
 
