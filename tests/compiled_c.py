@@ -64,7 +64,7 @@ def compiler() -> tuple[str, ...]:
 
 
 def compiled(folder: Path, name: str, *options: str, needs: tuple[str, ...] = ()) -> Path:
-    """The object of a file of a folder; with `-shared` or a `main`, what it is linked to."""
+    """The object of a file of a folder; with `-shared` the library."""
     out = folder / f"{Path(name).stem}.o"
     strict = [] if name.endswith((".cpp", ".cc")) else STRICT
     done = subprocess.run(

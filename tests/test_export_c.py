@@ -239,8 +239,10 @@ def test_two_instances_and_two_observers_in_one_binary(tmp_path, log):
             double u[2], i[2]; float v[2], j[2];
             motor_defaults(&p); q = p; q.first_filter_rate = 60.0;
             for (k = 0; k < 200; ++k) {
-                u[0] = 3.0 - 0.01 * k; u[1] = 0.02 * k; i[0] = 0.5 * u[1]; i[1] = 1.0 - i[0];
-                v[0] = (float)u[0]; v[1] = (float)u[1]; j[0] = (float)i[0]; j[1] = (float)i[1];
+                u[0] = 3.0 - 0.01 * k; u[1] = 0.02 * k;
+                i[0] = 0.5 * u[1]; i[1] = 1.0 - i[0];
+                v[0] = (float)u[0]; v[1] = (float)u[1];
+                j[0] = (float)i[0]; j[1] = (float)i[1];
                 if (k == 0) {
                     motor_init(&a, &p, i, &x); motor_init(&b, &q, i, &y);
                     motor_init(&alone, &p, i, &z); other_init(&c, j, &w);
@@ -454,10 +456,12 @@ def test_what_cannot_be_exported_is_refused(tmp_path, capsys):
         "give --cutoff": ("export", bare, "--interval", "2e-4", "--out", tmp_path / "x"),
         "either --interval": ("export", MOTOR, "--out", tmp_path / "x"),
         "--target must be one of": (
-            "export", MOTOR, "--interval", "1e-4", "--target", "vhdl", "--out", tmp_path / "x",
+            "export",
+            MOTOR,
+            *("--interval", "1e-4", "--target", "vhdl", "--out", tmp_path / "x"),
         ),
-        "must be at most 50 rad/s": ("export", MOTOR, "--interval", "0.01", "--out", tmp_path),
-    }  # fmt: skip
+        "must be at most 50 rad/s": ("export", MOTOR, "--interval", "0.01", "--out", bare),
+    }
     for message, arguments in said.items():
         assert command(*arguments) == 2
         assert message in capsys.readouterr().err
@@ -477,10 +481,10 @@ def test_what_cannot_be_exported_is_refused(tmp_path, capsys):
 
 def test_the_readme_lists_what_the_header_declares(motor):
     text, header = (motor / "README.md").read_text(), (motor / "motor.h").read_text()
-    structs = dict(
-        (name, re.findall(r"^    \w+ (\w+)(?:\[\d+\])?;$", body, re.MULTILINE))
+    structs = {
+        name: re.findall(r"^    \w+ (\w+)(?:\[\d+\])?;$", body, re.MULTILINE)
         for body, name in re.findall(r"typedef struct \{(.*?)\} (\w+);", header, re.DOTALL)
-    )
+    }
     sections = dict(re.findall(r"## (\w+)\n(.*?)(?=\n## |\Z)", text, re.DOTALL))
     listed = {k: re.findall(r"^\| `(\w+)` ", v, re.MULTILINE) for k, v in sections.items()}
     assert listed["Parameters"] == structs["motor_parameters"]

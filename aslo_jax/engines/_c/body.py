@@ -85,7 +85,8 @@ class Body:
         text = self.text(number)
         call = CALL.match(text)
         closed = call is not None and bare(text[call.end() - 1 :]) != text[call.end() - 1 :]
-        return text if closed or ATOM.fullmatch(text) else f"({text})"
+        simple = closed or ATOM.fullmatch(text) or bare(text) != text
+        return text if simple else f"({text})"
 
     def _expression(self, number: int) -> str:
         node = self.graph.nodes[number]

@@ -258,7 +258,7 @@ def _to_whole(source: np.dtype) -> Callable[[np.dtype], str]:
         least, most = (literal(x, dtype) for x in (bounds.min, bounds.max))
         return f"""
 /* Towards zero, the next one where it is out of range, and zero where x is no number. */
-static {{T}} {{p}}_to_{{s}}_{short(source)}({c_type(source)} x)
+static {{T}} {{p}}_to_{short(source)}_{{s}}({c_type(source)} x)
 {{{{
     if (!(x > {low})) {{{{
         return (x == x) ? {least} : ({c_type(dtype)})0;

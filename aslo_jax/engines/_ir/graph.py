@@ -103,6 +103,11 @@ class Graph:
         if op in FOLD and all(v is not None for v in values):
             with np.errstate(all="ignore"):
                 return self.const(FOLD[op](*values), dtype)
+        if len(set(args)) == 1 < len(args) and self.dtype(args[0]).kind != "f":
+            if op in COMPARISONS:
+                return self.const(op in ("eq", "le", "ge"), BOOL)
+            if op == "xor":
+                return self.const(0, dtype)
         simple = self._simplified(op, args, values)
         if simple is not None:
             return simple
