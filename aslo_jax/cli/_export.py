@@ -11,7 +11,7 @@ import typer
 from .._choices import MOST_SUBSTEPS
 from ._options import double_precision
 
-TARGETS = ("c",)
+TARGETS = ("c", "fmu2", "fmu3")
 CUTOFF = (
     "Cutoff of the filter (rad/s), in place of the machine's; needed where that has none, "
     "since there is no log to choose it for."
@@ -36,9 +36,7 @@ def export(
     ] = "float64",
     prefix: Annotated[
         str | None,
-        typer.Option(
-            help="Of every symbol and file; by default the machine's."
-        ),
+        typer.Option(help="Of every symbol and file; by default the machine's."),
     ] = None,
     cutoff: Annotated[float | None, typer.Option(help=CUTOFF)] = None,
     pll_bandwidth: Annotated[
@@ -72,7 +70,8 @@ def export(
     ] = None,
 ) -> None:
     """Write the observer of a MACHINE as a program for the processor of its drive: C99 that
-    needs no library, with a test, a filter of CSV files, and a README of what is in it.
+    needs no library, with a test, a filter of CSV files, and a README of what is in it; or
+    that C as an FMU, for simulators.
 
     A motor's comes with a phase-locked loop for its angle, in one turn, and its speed.
     """
@@ -116,7 +115,11 @@ def export(
         fixed=tuple(fixed or ()),
         command=words,
     )
-    for path in exported.write(out):
+    if target == "c":
+        paths = exported.write(out)
+    else:
+        paths = [exported.write_fmu(out / f"{name}.fmu", int(target[-1]))]
+    for path in paths:
         typer.echo(path)
     typer.echo(
         f"{exported.operations} operations a step in {dtype}, {exported.state_bytes} bytes "

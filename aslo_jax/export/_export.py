@@ -13,8 +13,10 @@ from .._checks import positive
 from .._typing import Missing, PyTree
 from ._blocks import Block, Chain, block_of
 from ._fields import RESERVED, Field
-from ._harness import harness, readme
+from ._fmu import write_fmu
+from ._harness import harness, is_held
 from ._header import CONTROL, SAMPLING, header, sources, top, wrapped
+from ._readme import readme
 from ._source import Source, source
 from ._traced import Traced, traced
 from ._vectors import Vectors, excited, recorded
@@ -35,6 +37,7 @@ class Exported:
       step takes, each with `name`, `shape`, `dtype`, `origin` in the library and `default`;
     - `operations` of a step, of which so many, `of_parameters`, follow from the parameters
       alone; a product and a sum count as two;
+    - `notes` and `columns`: as they were given;
     - `state_bytes`, without padding, and `automatic_bytes`: of the variables of a step,
       which is at most what it takes of the stack besides calls.
     """
@@ -51,6 +54,8 @@ class Exported:
     of_parameters: int
     state_bytes: int
     automatic_bytes: int
+    notes: dict[str, str]
+    columns: dict[str, tuple[str, ...]]
 
     def write(self, out: Path | str) -> list[Path]:
         """Write the files into the folder `out`, which is made: their paths."""
@@ -59,6 +64,41 @@ class Exported:
         for name, text in self.files.items():
             (folder / name).write_text(text, encoding="utf-8", newline="\n")
         return [folder / name for name in self.files]
+
+    def write_fmu(self, path: Path | str, version: int = 3) -> Path:
+        """Write an FMU of `version` 2 or 3 for co-simulation, around this C: its sources,
+        and a binary for this platform by the system's C compiler or the ziglang wheel.
+
+        The step at the time t takes the inputs of t, and the u of the step before, which
+        was held until t: what it puts out at the end of a communication step is what is
+        known at its beginning. Parameters are tunable; the state is got, set and
+        serialised as bytes.
+
+        **Raises:** `ValueError` for another version; `OSError` without a compiler."""
+        if version not in (2, 3):
+            raise ValueError(f"Argument `version` must be 2 or 3, but got {version!r}.")
+        names = {f.name for f in self.inputs if not is_held(f)} - (
+            {"dt"} if self.interval is None else set()
+        )
+        fields = {
+            "inputs": self.inputs,
+            "first": tuple(f for f in self.inputs if f.name in names),
+            "outputs": self.outputs,
+            "parameters": self.parameters,
+        }
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_fmu(
+            path,
+            version,
+            self.files,
+            self.prefix,
+            self.interval,
+            fields,
+            self.columns,
+            self.notes,
+        )
+        return path
 
 
 def export_c(
@@ -160,6 +200,8 @@ def export_c(
         of_parameters=code.of_parameters,
         state_bytes=size,
         automatic_bytes=code.automatic,
+        notes=dict(notes),
+        columns={name: tuple(names) for name, names in columns.items()},
     )
 
 
