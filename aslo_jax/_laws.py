@@ -120,8 +120,8 @@ class Hold(NamedTuple):
     """First-order hold: `X1 = decay X0 + left v0 + right v1`.
 
     In single precision also what is `lost`, `1 - decay` with all of its digits: a decay
-    next to 1 has hardly any of them, and a filter of 1 rad/s at 20 kHz would be wrong by
-    some 1e-3 at rest. `X1 = X0 + (left v0 + right v1 - lost X0)` then.
+    next to 1 has hardly any of them, and a filter of 0.3 rad/s at 20 kHz would be wrong
+    by 1e-3 at rest. `X1 = X0 + (left v0 + right v1 - lost X0)` then.
     """
 
     decay: Array

@@ -8,6 +8,7 @@ they have with a constant rate.
 """
 
 import abc
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
