@@ -610,8 +610,9 @@ def test_ten_thousand_models_in_single_precision(tmp_path, log):
         a, b = single(rows, values), double(rows, values)
         both = (a[:, 2] == 0) & (b[:, 2] == 0) & (np.arange(len(a)) > 100)
         apart.append(np.mean(a[:, 2] != b[:, 2]))
-        off = np.abs(a - b)[both][:, 4:6] / start[names.index("first_relation_magnet_flux")]
+        magnet = start[names.index("first_relation_magnet_flux")]
+        off = np.abs(a - b)[both][:, 4:6] / magnet
         worst.append(np.max(off, initial=0.0))
-    assert 1e-8 < np.median(worst)  # there were certified rows
+    assert np.median(worst) > 1e-8  # there were certified rows
     assert np.max(worst) < 5e-6  # of the magnet's flux; measured 1.7e-6
     assert max(apart) < 1e-3
