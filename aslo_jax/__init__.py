@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         disturbances as disturbances,
         engines as engines,
         experiment as experiment,
+        export as export,
         filters as filters,
         frames as frames,
         guard as guard,
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
         run_batch as run_batch,
     )
     from .experiment import Experiment as Experiment, Record as Record
+    from .export import Chain as Chain, Exported as Exported, export_c as export_c
     from .filters import (
         AbstractFilter as AbstractFilter,
         LinearFilter as LinearFilter,
@@ -124,8 +126,10 @@ __all__ = [
     "Asymptotic",
     "Batch",
     "BearingObserver",
+    "Chain",
     "Estimate",
     "Experiment",
+    "Exported",
     "ExtendedKalman",
     "FilterBank",
     "FilteredDerivative",
@@ -166,6 +170,8 @@ __all__ = [
     "datasheet",
     "disturbances",
     "engines",
+    "export",
+    "export_c",
     "filters",
     "frames",
     "logs",
@@ -197,6 +203,7 @@ __getattr__, __dir__ = _lazily(
         "completions": ("AbstractCompletion", "FilterBank", "LeastSquares", "Repeat"),
         "engines": ("Batch", "NotFusible", "Runner", "run_batch"),
         "experiment": ("Experiment", "Record"),
+        "export": ("Chain", "Exported", "export_c"),
         "filters": ("AbstractFilter", "LinearFilter", "LowPass"),
         "guard": ("Guard",),
         "observers": (
@@ -242,6 +249,7 @@ __getattr__, __dir__ = _lazily(
         "disturbances",
         "engines",
         "experiment",
+        "export",
         "filters",
         "frames",
         "guard",

@@ -1,5 +1,7 @@
 """Filters: the linear laws that an observer's equations are written in."""
 
+import functools
+import operator
 from typing import Any
 
 import equinox as eqx
@@ -15,6 +17,7 @@ from ._laws import (
     Integrator,
     Remembering,
     check_filter,
+    held,
     scalar_hold,
 )
 from ._small import exponential_integrals
@@ -118,8 +121,7 @@ class LowPass(AbstractFilter):
         return scalar_hold(self.constant, jnp.asarray(h, self.constant.dtype))
 
     def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
-        decay, left, right = coefficients
-        return decay * X + left * v0 + right * v1
+        return held(coefficients, X, operator.mul, v0, v1)
 
 
 class LinearSystem(AbstractLaw):
@@ -137,15 +139,11 @@ class LinearSystem(AbstractLaw):
         h = jnp.asarray(h, self.A.dtype)
         decay, phi1, phi2 = exponential_integrals(self.A * h)
         right = h * phi2
-        return Hold(decay, h * phi1 - right, right)
+        lost = -(self.A * h) @ phi1 if decay.dtype == jnp.float32 else None
+        return Hold(decay, h * phi1 - right, right, lost)
 
     def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
-        decay, left, right = coefficients
-        return (
-            jnp.tensordot(decay, X, axes=1)
-            + jnp.tensordot(left, v0, axes=1)
-            + jnp.tensordot(right, v1, axes=1)
-        )
+        return held(coefficients, X, functools.partial(jnp.tensordot, axes=1), v0, v1)
 
 
 class Switched(AbstractLaw):

@@ -9,6 +9,7 @@ the axis of length one.
 
 import abc
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -25,6 +26,7 @@ __all__ = [
     "Integrator",
     "Remembering",
     "check_filter",
+    "held",
     "scalar_hold",
 ]
 
@@ -115,11 +117,25 @@ def check_filter(filter: Any) -> None:
 
 
 class Hold(NamedTuple):
-    """First-order hold: `X1 = decay X0 + left v0 + right v1`."""
+    """First-order hold: `X1 = decay X0 + left v0 + right v1`.
+
+    In single precision also what is `lost`, `1 - decay` with all of its digits: a decay
+    next to 1 has hardly any of them, and a filter of 0.3 rad/s at 20 kHz would be wrong
+    by 1e-3 at rest. `X1 = X0 + (left v0 + right v1 - lost X0)` then.
+    """
 
     decay: Array
     left: Array
     right: Array
+    lost: Array | None = None
+
+
+def held(hold: Hold, X: Any, times: Callable[[Array, Any], Any], v0: Any, v1: Any) -> Any:
+    """The state after the interval of a hold; `times` multiplies by a coefficient."""
+    driven = times(hold.left, v0), times(hold.right, v1)
+    if hold.lost is None:
+        return times(hold.decay, X) + driven[0] + driven[1]
+    return X + (driven[0] + driven[1] - times(hold.lost, X))
 
 
 class Remembering(NamedTuple):
@@ -146,4 +162,5 @@ def scalar_hold(rate: Array, h: Array) -> Hold:
     p = -jnp.expm1(-v_large) / v_large
     left = jnp.where(small, phi1 - phi2, (p - jnp.exp(-v_large)) / v_large)
     right = jnp.where(small, phi2, (1.0 - p) / v_large)
-    return Hold(jnp.exp(-v), h * left, h * right)
+    lost = v * jnp.where(small, phi1, p) if v.dtype == jnp.float32 else None
+    return Hold(jnp.exp(-v), h * left, h * right, lost)

@@ -8,6 +8,7 @@ they have with a constant rate.
 """
 
 import abc
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -18,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._checks import function, is_concrete, positive, real
-from ._laws import AbstractFilter, AbstractLaw, Remembering, scalar_hold
+from ._laws import AbstractFilter, AbstractLaw, Remembering, held, scalar_hold
 from ._module import Module
 from ._typing import PyTree, RealArray
 
@@ -130,10 +131,10 @@ class _Decay(AbstractLaw):
 
     def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         rate = v0.rate
-        decay, left, right = scalar_hold(rate, jnp.asarray(coefficients.hold, rate.dtype))
+        hold = scalar_hold(rate, jnp.asarray(coefficients.hold, rate.dtype))
         if self.tracking:
-            left, right = rate * left, rate * right
-        return decay * X + left * v0.value + right * v1.value
+            hold = hold._replace(left=rate * hold.left, right=rate * hold.right)
+        return held(hold, X, operator.mul, v0.value, v1.value)
 
 
 class _AbstractVarying(AbstractFilter):

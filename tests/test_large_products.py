@@ -13,6 +13,7 @@ import aslo_jax as aslo
 from aslo_jax.engines import run_batch
 from aslo_jax.engines._frontend.large import is_large
 from aslo_jax.engines._fused.program import Bodies, Program
+from aslo_jax.engines._ir.graph import Goal, Graph
 
 pytest.importorskip("llvmlite")
 RNG = np.random.default_rng(3)
@@ -75,11 +76,12 @@ def network(x, w):
 
 
 def test_what_is_large():
-    assert is_large(64, 1, 64)
-    assert is_large(1, 1, 1000)
-    assert not is_large(3, 3, 3)
-    assert not is_large(16, 1, 16)
-    assert not is_large(1000, 1000, 1), "sums of one product"
+    assert is_large(Graph(), 64, 1, 64)
+    assert is_large(Graph(), 1, 1, 1000)
+    assert not is_large(Graph(), 3, 3, 3)
+    assert not is_large(Graph(), 16, 1, 16)
+    assert not is_large(Graph(), 1000, 1000, 1), "sums of one product"
+    assert is_large(Graph(Goal(large=100)), 5, 5, 5), "where loops are to be short"
 
 
 def test_network_with_weights_of_each_lane():

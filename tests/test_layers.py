@@ -24,7 +24,7 @@ LAYERS = (
 PHASES = (
     {"_ir"},
     {"_frontend", "_passes", "_backend"},
-    {"_llvm"},
+    {"_llvm", "_c"},
     {"_runtime"},
     {"_fused"},
     {"_batch"},

@@ -12,6 +12,7 @@ except ModuleNotFoundError as error:
 
 from ._calibrate import calibrate
 from ._estimate import Explained, estimate
+from ._export import export
 from ._paper import paper
 from ._sample import sample
 from ._study import HELP as STUDY_HELP, study
@@ -47,6 +48,7 @@ def start(
 app.command(cls=Explained)(estimate)
 app.command()(calibrate)
 app.command()(tune)
+app.command()(export)
 app.command()(sample)
 app.command()(paper)
 app.command(help=STUDY_HELP)(study)

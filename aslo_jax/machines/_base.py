@@ -202,6 +202,12 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         """The `layout` of this machine's logs."""
         return self.layout
 
+    def followed(self) -> Callable[[Any, Any, Any], tuple[Any, Any]] | None:
+        """What makes of u, y and an estimate the signals of the phase-locked loop of a
+        drive, an angle (rad, wrapped) among them, as `connect` of a [`Staged`][] observer;
+        `None` where the kind has none."""
+        return None
+
     @property
     def pole_pairs(self) -> int | None:
         """The number of pole pairs of its `[machine]`, if it has any."""

@@ -175,6 +175,9 @@ class InteriorPMSMDescription(AbstractDescription[InteriorPMSMTable, InteriorPMS
         active = np.asarray(estimate.value) - inductance * log.y
         return motor.motor_columns(estimate, active, inductance, self.observer)
 
+    def followed(self) -> motor.MagnetAngle:
+        return motor.MagnetAngle(self.machine.quadrature_inductance)
+
     def truth(self, log: Log) -> Columns:
         return motor.motor_truth(log, self.machine.pole_pairs)
 

@@ -5,10 +5,15 @@ import abc
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Generic, TypeVar
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from pydantic import Field, model_validator
 
+from .._checks import real
+from .._module import Module
+from .._typing import PyTree
 from ..logs import Log, Signals
 from ..observers import AbstractObserver
 from ..plants import AbstractRoundMachine
@@ -183,6 +188,19 @@ def motor_columns(
     return found | parameters_of(settings, estimate)
 
 
+class MagnetAngle(Module):
+    """The angle of the magnet, or of the active flux (rad, wrapped), from the flux that is
+    estimated, less `inductance` (H) times the current."""
+
+    inductance: Float[Array, ""] = eqx.field(converter=real)
+
+    def __call__(
+        self, u: PyTree, y: Float[Array, " 2"], estimate: Any
+    ) -> tuple[PyTree, Float[Array, ""]]:
+        magnet = estimate.value - self.inductance * y
+        return u, jnp.arctan2(magnet[1], magnet[0])
+
+
 def motor_truth(log: Log, pole_pairs: int) -> Columns:
     """The truth, with the electrical angle and speed from the mechanical ones unless they
     are given."""
@@ -286,6 +304,9 @@ class AbstractRoundMotor(AbstractDescription[M, MotorObserver], abc.ABC, Generic
         inductance = self._values().inductance
         magnet = np.asarray(estimate.value) - inductance * log.y
         return motor_columns(estimate, magnet, inductance, self.observer)
+
+    def followed(self) -> MagnetAngle:
+        return MagnetAngle(self._values().inductance)
 
     def truth(self, log: Log) -> Columns:
         return motor_truth(log, self._values().pole_pairs)

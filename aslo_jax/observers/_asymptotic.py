@@ -64,7 +64,8 @@ class _Correction(AbstractLaw):
         innovation = v1.value - predicted
         left = jnp.where(v0.certified, v0.error, innovation)
         corrected = self.gain * (hold.left * left + hold.right * innovation)
-        weight = hold.decay * X.weight + (1.0 - hold.decay)
+        lost = 1.0 - hold.decay if hold.lost is None else hold.lost
+        weight = hold.decay * X.weight + lost
         weight = jnp.where(v1.certified, weight, X.weight)
         corrected = jnp.where(v1.certified, corrected, 0.0)
         return _Average(weight, weight * predicted + corrected)

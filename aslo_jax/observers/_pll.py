@@ -43,6 +43,7 @@ class _Loop(AbstractLaw):
     bandwidth: Float[Array, ""]
     trust: Float[Array, ""] | float
     wraps: bool = eqx.field(static=True)
+    within: bool = eqx.field(static=True, default=False)
 
     def error(self, y: Array, angle: Array) -> Array:
         return wrap(y - angle) if self.wraps else y - angle
@@ -71,6 +72,8 @@ class _Loop(AbstractLaw):
         angle = jnp.where(begun, predicted + alpha * e, X.angle)
         speed = jnp.where(begun, X.speed + beta * e / h, X.speed)
         age = jnp.where(begun, X.age + self.trust * h, X.age)
+        if self.within:
+            angle, predicted = wrap(angle), wrap(predicted)
         restarted = predicted + e, jnp.zeros_like(speed), jnp.zeros_like(age)
         both = zip(restarted, (angle, speed, age), strict=True)
         return _Track(*(jnp.where(fresh, a, b) for a, b in both))
@@ -82,7 +85,10 @@ class PhaseLockedLoop(AbstractObserver):
     - `bandwidth` b, in rad/s;
     - `wraps`: whether `y`, an angle (rad), may be wrapped; one that is not, and turns by
       less than pi between samples, needs no wrapping of the error, which a fast change of
-      speed could take for a turn less.
+      speed could take for a turn less;
+    - `within`: whether the angle is kept in one turn, from -pi to pi, give or take an
+      error, as a loop that never ends must in single precision; sampled only, and for a
+      `y` that `wraps`.
 
     The estimate is `(a, w)`, the unwrapped angle (rad) and the speed (rad/s). Under
     constant acceleration al the speed lags by `2 al / b`.
@@ -102,15 +108,21 @@ class PhaseLockedLoop(AbstractObserver):
 
     bandwidth: Float[Array, ""] = eqx.field(converter=real)
     wraps: bool = eqx.field(static=True, default=True)
+    within: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self) -> None:
+        if self.within and not self.wraps:
+            raise ValueError(
+                "Argument `within` must be False where `wraps` is: an angle that is not "
+                "wrapped leaves the turn that the loop is kept in."
+            )
         positive("bandwidth", self.bandwidth, "rad/s")
 
     def equations(self, F: Pass, u: PyTree, y: Float[Array, ""]) -> Estimate:
         del u
         dtype = jnp.result_type(y, self.bandwidth)
         y = jnp.asarray(y, dtype)
-        law = _Loop(self.bandwidth, F.trust, self.wraps)
+        law = _Loop(self.bandwidth, F.trust, self.wraps, self.within)
         trusted = F.trust * jnp.ones_like(y)
         X = F.evolve(law, y, _Track(y, 0.0 * y, trusted - 1.0), "track")
         young = X.age * self.bandwidth < 1.0

@@ -7,16 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from .._ir.graph import Function, Graph
+from .._ir.graph import Function, Goal, Graph
 
-LARGE = 1000  # multiply-adds of a product, or operations of a function of an array
-MANY = 32  # entries of an array, at least
 SHORT = 4  # no sum of so few products takes a loop
 
 
-def is_large(rows: int, columns: int, inner: int) -> bool:
+def is_large(graph: Graph, rows: int, columns: int, inner: int) -> bool:
     """Whether a product of two matrices is one of loops."""
-    return inner > SHORT and rows * columns * inner >= LARGE
+    return inner > SHORT and rows * columns * inner >= graph.goal.large
 
 
 def product(graph: Graph, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -39,18 +37,20 @@ def entrywise(
 ) -> np.ndarray | None:
     """A rule on every entry of arrays of one shape, as calls of a function; `None` where
     that is not worth a loop."""
-    if arguments[0].size < MANY or any(
+    if arguments[0].size < graph.goal.many or any(
         graph.dtype(int(n)) != dtype for a in arguments for n in a.flat[:1]
     ):
         return None
     functions: dict[Any, Function] = {}
+    goal, many = graph.goal, arguments[0].size
     out = np.empty(arguments[0].shape, np.int64)
     for index, args in _entries(arguments):
         values = [graph.value(n) for n in args]
         key = tuple(None if v is None else v.tobytes() for v in values)
         if key not in functions:
-            made = functions[key] = _function(rule, dtype, params, values)
-            if made.graph.dtype(made.result) != dtype or not _is_worth(made, out.size):
+            made = functions[key] = _function(goal, rule, dtype, params, values)
+            size = made.graph.size(made.result)
+            if made.graph.dtype(made.result) != dtype or size * many < goal.large:
                 return None
         free = [n for n, v in zip(args, values, strict=True) if v is None]
         out[index] = graph.call(functions[key], *free)
@@ -62,15 +62,11 @@ def _entries(arguments: Sequence[np.ndarray]) -> Iterator[tuple[Any, list[int]]]
         yield index, [int(a[index]) for a in arguments]
 
 
-def _is_worth(function: Function, entries: int) -> bool:
-    return function.graph.size(function.result) * entries >= LARGE
-
-
 def _function(
-    rule: Callable[..., int], dtype: Any, params: Any, values: list[Any]
+    goal: Goal, rule: Callable[..., int], dtype: Any, params: Any, values: list[Any]
 ) -> Function:
     """A rule as a function of the arguments that are not known."""
-    graph, given = Graph(), []
+    graph, given = Graph(goal), []
     for value in values:
         if value is None:
             place = sum(graph.value(n) is None for n in given)

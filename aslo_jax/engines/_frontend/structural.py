@@ -57,7 +57,7 @@ def _dot_general(graph, equation, a, b):
     A = np.transpose(a, (*ba, *fa, *ca)).reshape(*batch, -1, _size(a, ca))
     B = np.transpose(b, (*bb, *fb, *cb)).reshape(*batch, -1, _size(b, cb))
     out = np.empty((*batch, A.shape[-2], B.shape[-2]), np.int64)
-    if dtype.kind == "f" and is_large(*out.shape[-2:], A.shape[-1]):
+    if dtype.kind == "f" and is_large(graph, *out.shape[-2:], A.shape[-1]):
         A, B = (_converted(graph, x, dtype) for x in (A, B))
         for at in np.ndindex(*batch):
             out[at] = product(graph, A[at], B[at])

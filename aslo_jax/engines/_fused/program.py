@@ -15,7 +15,7 @@ from ..._typing import PyTree
 from .._backend.step import Body, Step, chosen
 from .._backend.target import Target
 from .._frontend.lower import NotFusible, check_numbers, flatten
-from .._ir.graph import Graph
+from .._ir.graph import MACHINE_CODE, Goal, Graph
 from .._ir.loop import Loop, varying
 from .._passes import optimised
 from .._runtime.columns import COLUMNS, blank, columns_of, gathered, stored
@@ -124,8 +124,10 @@ def constant_in_time(inputs: dict[str, PyTree]) -> dict[str, PyTree]:
 class Inputs:
     """A graph of inputs only, and the nodes of each of their leaves."""
 
-    def __init__(self, carry: PyTree, inputs: dict[str, PyTree]) -> None:
-        self.graph = Graph()
+    def __init__(
+        self, carry: PyTree, inputs: dict[str, PyTree], goal: Goal = MACHINE_CODE
+    ) -> None:
+        self.graph = Graph(goal)
         step = self.graph.input(np.int64, ("step", 0))
         self.step = np.asarray(self.graph.convert(step, _step().dtype))
         self.carry = _numbered(self.graph, "carry", carry)
@@ -139,6 +141,30 @@ class Inputs:
     @property
     def fixed(self) -> list[np.ndarray]:
         return [n for numbers in constant_in_time(self.by_kind).values() for n in numbers]
+
+
+def looped(
+    bodies: Bodies, inputs: dict[str, PyTree], goal: Goal = MACHINE_CODE
+) -> tuple[Loop, Traced]:
+    """The loop of functions traced for inputs of the given shapes."""
+    traced = trace(bodies, inputs)
+    given = Inputs(traced.carry, inputs, goal)
+    graph, size = given.graph, len(given.carry)
+    begin = flatten(graph, traced.begin, given.fixed)
+    end = size + len(jax.tree.leaves(traced.first))
+    arguments = [given.step, *given.carry, *given.all, *begin[end:]]
+    advance = flatten(graph, traced.advance, arguments)
+    finish = flatten(graph, traced.finish, [*given.carry, *given.fixed])
+    loop = Loop(
+        graph,
+        flat(begin[:size]),
+        flat(advance[:size]),
+        record=flat(advance[size:]),
+        first=flat(begin[size:end]),
+        final=flat(finish),
+        branches=tuple(graph.branches),
+    )
+    return loop, traced
 
 
 def wide() -> bool:
@@ -220,23 +246,7 @@ class Program:
     ) -> "Program":
         """Of functions, traced for inputs of the given shapes; further arguments as of
         `Program`."""
-        traced = trace(bodies, inputs)
-        given = Inputs(traced.carry, inputs)
-        graph, size = given.graph, len(given.carry)
-        begin = flatten(graph, traced.begin, given.fixed)
-        end = size + len(jax.tree.leaves(traced.first))
-        arguments = [given.step, *given.carry, *given.all, *begin[end:]]
-        advance = flatten(graph, traced.advance, arguments)
-        finish = flatten(graph, traced.finish, [*given.carry, *given.fixed])
-        loop = Loop(
-            graph,
-            flat(begin[:size]),
-            flat(advance[:size]),
-            record=flat(advance[size:]),
-            first=flat(begin[size:end]),
-            final=flat(finish),
-            branches=tuple(graph.branches),
-        )
+        loop, traced = looped(bodies, inputs)
         return cls(loop, traced.record, traced.final, widths, **choice)
 
     @property

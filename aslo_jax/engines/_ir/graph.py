@@ -47,6 +47,20 @@ class Node(NamedTuple):
         return any(time for time, _ in args), any(lane for _, lane in args)
 
 
+class Goal(NamedTuple):
+    """What a graph is made for.
+
+    - `fuses`: whether a product and a sum that may be rounded once are one operation;
+    - `large`: of how many multiply-adds a product of matrices, or operations a function of
+      an array, is one of loops; `many`: of how many entries such an array is, at least.
+    """
+
+    fuses: bool = True
+    large: int = 1000
+    many: int = 32
+
+
+MACHINE_CODE = Goal()
 # Their results are booleans.
 COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")
 COMMUTES = {"add", "mul", "and", "or", "xor", "eq", "ne"}
@@ -55,7 +69,8 @@ COMMUTES = {"add", "mul", "and", "or", "xor", "eq", "ne"}
 class Graph:
     """Nodes by number, in an order in which every node follows its arguments."""
 
-    def __init__(self) -> None:
+    def __init__(self, goal: Goal = MACHINE_CODE) -> None:
+        self.goal = goal
         self.nodes: list[Node] = []
         self.branches: dict[int, None] = {}  # conditions that were branches in the source
         self._numbers: dict[Any, int] = {}
@@ -88,6 +103,11 @@ class Graph:
         if op in FOLD and all(v is not None for v in values):
             with np.errstate(all="ignore"):
                 return self.const(FOLD[op](*values), dtype)
+        if len(set(args)) == 1 < len(args) and self.dtype(args[0]).kind != "f":
+            if op in COMPARISONS:
+                return self.const(op in ("eq", "le", "ge"), BOOL)
+            if op == "xor":
+                return self.const(0, dtype)
         simple = self._simplified(op, args, values)
         if simple is not None:
             return simple
@@ -173,6 +193,9 @@ class Graph:
         """A function of real numbers: one operation, which many do in one loop."""
         if all(self.value(a) is not None for a in args):
             return self._inlined(function, args)
+        handed = function.graph.nodes[function.result]
+        if handed.op == "input":  # a sum with zero, for instance
+            return args[handed.data[1]]
         # Equal functions are one, also in another process.
         content = *function.graph._numbers, function.result
         function = self._functions.setdefault(content, function)

@@ -67,19 +67,24 @@ def mapped(loop: Loop, found: Mapping[int, int]) -> Loop:
     )
 
 
+def alive(loop: Loop) -> list[int]:
+    """The entries of the carry that something needs."""
+    graph, kept = loop.graph, set[int]()
+    more = carries(graph, graph.reachable([*loop.record, *loop.final, *loop.conditions]))
+    while more:
+        kept |= set(more)
+        found = carries(graph, graph.reachable([loop.carry[i] for i in more]))
+        more = {i: n for i, n in found.items() if i not in kept}
+    return sorted(kept)
+
+
 def pruned(loop: Loop) -> Loop:
     """Without the entries of the carry that nothing needs, the others numbered again, and
     without the branches that no next carry depends on."""
     graph, whole = loop.graph, set(loop.graph.reachable(list(loop.carry)))
     branches = dict.fromkeys(n for n in loop.branches if n in whole)
     loop = dataclasses.replace(loop, branches=tuple(branches))
-    alive: set[int] = set()
-    more = carries(graph, graph.reachable([*loop.record, *loop.final, *loop.conditions]))
-    while more:
-        alive |= set(more)
-        found = carries(graph, graph.reachable([loop.carry[i] for i in more]))
-        more = {i: n for i, n in found.items() if i not in alive}
-    kept = sorted(alive)
+    kept = alive(loop)
     small = dataclasses.replace(
         loop,
         begin=tuple(loop.begin[i] for i in kept),

@@ -60,7 +60,7 @@ def _power_of_two(n: Expression) -> Expression:
 
 def _exponential(r: Expression) -> Expression:
     """`exp(r) - 1` of a small r."""
-    return (r * r).times_plus(horner(r, EXP), r)
+    return (r * r).near_plus(horner(r, EXP), r)
 
 
 def _scaled(x: Expression, n: Expression) -> Expression:
@@ -99,7 +99,7 @@ def expm1(x: Expression) -> Expression:
     n, r = _reduced(_clamped(where(large, 0.0, x)))
     n = where(n < -64.0, -64.0, n)
     scale = _power_of_two(n)
-    return where(large, exp(x), scale.times_plus(_exponential(r), scale - 1.0))
+    return where(large, exp(x), scale.near_plus(_exponential(r), scale - 1.0))
 
 
 LOG = (

@@ -113,6 +113,12 @@ class Expression:
         numbers = self.number, self.like(factor).number, self.like(term).number
         return Expression(self.graph, self.graph.fma(*numbers))
 
+    def near_plus(self, factor: Any, term: Any) -> Expression:
+        """The same, rounded once or twice."""
+        if self.graph.goal.fuses:
+            return self.times_plus(factor, term)
+        return self * factor + term
+
     def to(self, dtype: Any) -> Expression:
         return Expression(self.graph, self.graph.convert(self.number, dtype))
 
@@ -132,5 +138,5 @@ def horner(x: Expression, coefficients: tuple[float, ...]) -> Expression:
     """The polynomial with `coefficients`, that of the highest power first."""
     total = x.like(coefficients[0])
     for c in coefficients[1:]:
-        total = total.times_plus(x, c)
+        total = total.near_plus(x, c)
     return total

@@ -74,8 +74,12 @@ def _of_computed(x: Expression) -> tuple[Expression, Expression, Expression]:
 def _of_given(x: Expression) -> tuple[Expression, Expression, Expression]:
     """By Cody and Waite: pi/2 has as many digits as the nearest multiple needs."""
     form = format_of(x)
-    shifted = x.times_plus(2.0 / math.pi, _shift(form))
-    n = shifted - _shift(form)
+    if x.graph.goal.fuses:
+        shifted = x.times_plus(2.0 / math.pi, _shift(form))
+        n = shifted - _shift(form)
+    else:
+        n = (x * (2.0 / math.pi)).rint()
+        shifted = n + _shift(form)
     r = x
     for part in form.half_pi:
         r = n.times_plus(-part, r)
@@ -83,7 +87,7 @@ def _of_given(x: Expression) -> tuple[Expression, Expression, Expression]:
     # do: sine and cosine stay those of one angle.
     r = where(r > BOUND, BOUND, where(r < -BOUND, -BOUND, r))
     z = r * r
-    sine = (r * z).times_plus(horner(z, SIN), r)
+    sine = (r * z).near_plus(horner(z, SIN), r)
     cosine = horner(z, (*COS, -0.5, 1.0))
     return shifted.bits(form.integer), sine, cosine
 

@@ -1,0 +1,1 @@
+"""From a graph to C99: text that any compiler takes, without a library."""
