@@ -125,9 +125,10 @@ def test_at_constant_speed_the_resistance_is_not_believed(constant):
     assert off[:, 1].max() < 0.06
 
 
-def plain(mean, P, smooth, angle, u, y0, y1, h, age):
+def plain(mean, P, smooth, angle, u, y0, y1, h):
     """One filter over one sample, with the geometry of a magnet by hand: the radius of
-    `x - L y` is the magnet flux. The state is x and the relative errors of R and m."""
+    `x - L y` is the magnet flux. The state is x and the relative errors of R and m; the
+    smooth current has turned ahead with the magnet."""
     x, r, m = mean[:2], R * (1 + mean[2]), M * (1 + mean[3])
     x = x + h * (u - 0.5 * r * (y0 + y1))
     F = np.eye(4)
@@ -135,17 +136,14 @@ def plain(mean, P, smooth, angle, u, y0, y1, h, age):
     P = F @ P @ F.T
     half = -0.5 * h * r * CURRENT
     P[:2, :2] += ((h * VOLTAGE) ** 2 + half**2) * np.eye(2)
-    turn = lambda a: np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
-    to = lambda s: np.arctan2(*-(x - L * s)[::-1])
-    after = to(turn(to(smooth) - angle) @ smooth)
-    smooth = turn(after - angle) @ smooth
     along = x - L * smooth
+    after = np.arctan2(*along[::-1])
     along = along / np.linalg.norm(along)
     noise = L * CURRENT
     slope = np.array([*along, 0.0, -M]) / noise
     q = x - L * y1
     bent = (np.eye(2) - np.outer(along, along)) @ P[:2, :2] / (noise * m)
-    surprise = (np.linalg.norm(q) - m) / noise - 0.5 * noise / np.linalg.norm(q)
+    surprise = (np.linalg.norm(q) - m) / noise - 0.5 * noise / m
     surprise -= 0.5 * np.trace(bent)
     Pa = P @ slope - half * np.array([*along, 0.0, 0.0])
     S = slope @ P @ slope - 2 * half * slope[:2] @ along + 1 + 0.5 * np.trace(bent @ bent)
@@ -159,8 +157,9 @@ def plain(mean, P, smooth, angle, u, y0, y1, h, age):
     P = P - S * np.outer(K, K) + cross + cross.T
     P = P + W @ (np.eye(2) - np.outer(told, told) / S) @ W.T
     away = np.mean(((y1 - smooth) / CURRENT) ** 2)
-    weight = max(h * max(50.0, 1 / (age + h)), 1 - 8 / away)
-    return mean, P, smooth + weight * (y1 - smooth), after
+    smooth = smooth + max(50.0 * h, 1 - 8 / away) * (y1 - smooth)
+    c, s = np.cos(after - angle), np.sin(after - angle)
+    return mean, P, np.array([[c, -s], [s, c]]) @ smooth, after
 
 
 def test_one_filter_equals_a_plain_loop():
@@ -171,10 +170,9 @@ def test_one_filter_equals_a_plain_loop():
     assert belief.merged and not belief.held
     one = jax.tree.map(np.asarray, belief.one)
     angle = np.arctan2(*one.direction[::-1])
-    now, age = [one.mean, one.covariance, one.smooth, angle], float(belief.age)
+    now = [one.mean, one.covariance, one.smooth, angle]
     for k in range(t.size - 400, t.size):
-        now = plain(*now, u[k - 1], y[k - 1], y[k], H, age)
-        age += H
+        now = plain(*now, u[k - 1], y[k - 1], y[k], H)
     last = state.states["belief"].one
     np.testing.assert_allclose(last.mean[:2], now[0][:2], rtol=0, atol=1e-10 * M)
     np.testing.assert_allclose(last.mean[2:], now[0][2:], rtol=0, atol=1e-9)
