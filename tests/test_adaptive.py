@@ -125,19 +125,19 @@ def test_at_constant_speed_the_resistance_is_not_believed(constant):
     assert off[:, 1].max() < 0.06
 
 
-def plain(mean, P, smooth, angle, u, y0, y1, h):
+def plain(mean, P, smooth, ahead, angle, u, y0, y1, h):
     """One filter over one sample, with the geometry of a magnet by hand: the radius of
     `x - L y` is the magnet flux. The state is x and the relative errors of R and m; the
-    smooth current has turned ahead with the magnet."""
+    current in slopes turns on as the magnet has turned before."""
     x, r, m = mean[:2], R * (1 + mean[2]), M * (1 + mean[3])
     x = x + h * (u - 0.5 * r * (y0 + y1))
     F = np.eye(4)
-    F[:2, 2] = -h * R * smooth
+    F[:2, 2] = -h * R * ahead
     P = F @ P @ F.T
     half = -0.5 * h * r * CURRENT
     P[:2, :2] += ((h * VOLTAGE) ** 2 + half**2) * np.eye(2)
-    along = x - L * smooth
-    after = np.arctan2(*along[::-1])
+    along = x - L * ahead
+    after = np.arctan2(*-along[::-1])
     along = along / np.linalg.norm(along)
     noise = L * CURRENT
     slope = np.array([*along, 0.0, -M]) / noise
@@ -156,10 +156,12 @@ def plain(mean, P, smooth, angle, u, y0, y1, h):
     cross = W @ (W - np.outer(K, told)).T
     P = P - S * np.outer(K, K) + cross + cross.T
     P = P + W @ (np.eye(2) - np.outer(told, told) / S) @ W.T
+    c, s = np.cos(after - angle), np.sin(after - angle)
+    turn = np.array([[c, -s], [s, c]])
+    smooth = turn @ smooth
     away = np.mean(((y1 - smooth) / CURRENT) ** 2)
     smooth = smooth + max(50.0 * h, 1 - 8 / away) * (y1 - smooth)
-    c, s = np.cos(after - angle), np.sin(after - angle)
-    return mean, P, np.array([[c, -s], [s, c]]) @ smooth, after
+    return mean, P, smooth, turn @ smooth, after
 
 
 def test_one_filter_equals_a_plain_loop():
@@ -170,7 +172,7 @@ def test_one_filter_equals_a_plain_loop():
     assert belief.merged and not belief.held
     one = jax.tree.map(np.asarray, belief.one)
     angle = np.arctan2(*one.direction[::-1])
-    now = [one.mean, one.covariance, one.smooth, angle]
+    now = [one.mean, one.covariance, one.smooth, one.ahead, angle]
     for k in range(t.size - 400, t.size):
         now = plain(*now, u[k - 1], y[k - 1], y[k], H)
     last = state.states["belief"].one

@@ -35,17 +35,20 @@ AGREE = 0.8  # the cosine between directions of one solution
 LEAST = 1.3
 LEARNING = 0.3  # s in which information must come to be more than what noise feigns
 AVERAGE = 0.05  # s
+UNTRIED = 10.0  # times as fast as not to be held
 FAR = 0.1  # of its size: an x that may be off by so much in a hole is begun again
 
 
 class Member(NamedTuple):
     """Kalman filters: `mean` of x and the relative errors of the parameters, shape
-    `(n + q,)`, and their covariance; y for slopes, and its direction in the row, shape
-    `(p,)`; how fast it learns of the first parameter (1/s); the logarithm of a weight."""
+    `(n + q,)`, and their covariance; y for slopes, now and `ahead`, at the next sample, and
+    its direction in the row, shape `(p,)`; how fast it learns of the first parameter (1/s);
+    the logarithm of a weight."""
 
     mean: Float[Array, "*j N"]
     covariance: Float[Array, "*j N N"]
     smooth: Float[Array, "*j p"]
+    ahead: Float[Array, "*j p"]
     direction: Float[Array, "*j p"]
     learning: Float[Array, "*j"]
     score: Float[Array, "*j"]
@@ -112,7 +115,7 @@ class AdaptiveKalman(AbstractLaw):
         P = jnp.diag(jnp.concatenate([vague, self.deviations.astype(dtype) ** 2]))
         alike = lambda a: jnp.broadcast_to(a, (J, *a.shape))
         unit = jnp.zeros_like(smooth).at[0].set(1.0)
-        one = Member(mean, P, smooth, unit, zero, zero)
+        one = Member(mean, P, smooth, smooth, unit, zero, zero)
         join = lambda e: joined(emptied(z), self.model, self.errors(e), u, y)
         return AdaptiveBelief(
             jax.vmap(join)(self.grid()),
@@ -237,6 +240,8 @@ class AdaptiveKalman(AbstractLaw):
         along = _slopes(x) / spacing  # how x depends on the first parameter
         bent = 0.5 * OVERLAP**2 * _bends(x)  # and what of that is not a straight line
         flat, _ = ravel_pytree(y)
+        # None is held before it has shown how fast it learns.
+        fast = UNTRIED / (self.hold**2 * LEARNING)
 
         def member(x, certain, P, e, along, bent):
             mean = jnp.concatenate([x, self.errors(e)])
@@ -250,8 +255,7 @@ class AdaptiveKalman(AbstractLaw):
             direction, _ = slope_by_y(self.model, mean, u, y)
             prior = -0.5 * (e / self.deviations[0]) ** 2
             score = jnp.where(certain, prior, -1e6)
-            zero = jnp.zeros_like(score)
-            return Member(mean, mirrored(P), flat, direction, zero, score)
+            return Member(mean, mirrored(P), flat, flat, direction, fast, score)
 
         return jax.vmap(member)(x, found.certain, found.covariance, grid, along, bent)
 
@@ -270,7 +274,7 @@ class AdaptiveKalman(AbstractLaw):
         moved = x + 0.5 * h * (z_of(errors, y0) + z_of(errors, y1))
         mean = jnp.concatenate([moved, errors])
         entry = model.entry(errors, u, y1)
-        by_errors = h * jax.jacfwd(lambda e: z_of(e, unflat(m.smooth)))(errors)
+        by_errors = h * jax.jacfwd(lambda e: z_of(e, unflat(m.ahead)))(errors)
         # P of (x + by_errors errors, errors).
         cross = P[:n, n:] + by_errors @ P[n:, n:]
         square = P[:n, :n] + by_errors @ P[:n, n:].T + cross @ by_errors.T
@@ -282,7 +286,7 @@ class AdaptiveKalman(AbstractLaw):
         own = P[n:, n:] + h * jnp.diag(self.drift**2)
         P = mirrored(_bordered(square, cross, own))
 
-        d = distance(model, mean, u, y1, m.smooth)
+        d = distance(model, mean, u, y1, m.ahead)
         bent = d.curvature @ P[:n, :n]
         shared = jnp.concatenate([by_y @ d.direction, jnp.zeros(q, P.dtype)])
         Pa = P @ d.slope + shared
@@ -303,7 +307,9 @@ class AdaptiveKalman(AbstractLaw):
         seen = jnp.where(missing, 0.0, 1.0)
         mean = mean - seen * gain * surprise
         P = P.at[:n, :n].add(3.0 * seen * by_y @ by_y.T) - seen * drop
-        away = jnp.mean(((flat - m.smooth) / spread_of(model, y1)) ** 2)
+        onward = lambda y: turned(y, m.direction, d.direction)
+        smooth = onward(m.smooth)
+        away = jnp.mean(((flat - smooth) / spread_of(model, y1)) ** 2)
         weight = jnp.minimum(h * SMOOTHING, 1.0)
         loss = jnp.zeros_like(S)
         if not alone:
@@ -314,10 +320,10 @@ class AdaptiveKalman(AbstractLaw):
             over = jnp.maximum(S * own, LEAST)
             loss = 0.5 * seen * (surprise * surprise * own / over + jnp.log(over))
         weight = jnp.maximum(weight, 1.0 - FOLLOWED * safe_reciprocal(away))
-        # Ahead by as much as the row has turned in this interval.
-        smooth = m.smooth + seen * weight * (flat - m.smooth)
-        smooth = turned(smooth, m.direction, d.direction)
-        after = Member(mean, mirrored(P), smooth, d.direction, learning, m.score)
+        smooth = smooth + seen * weight * (flat - smooth)
+        # The row will turn by as much again.
+        P, turn = mirrored(P), d.direction
+        after = Member(mean, P, smooth, onward(smooth), turn, learning, m.score)
         return after, held, loss
 
 

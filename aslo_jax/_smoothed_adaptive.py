@@ -1,0 +1,54 @@
+"""Smoothing of a log some of whose relation's parameters are unknown."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ._replay import Checked, run_log
+from ._smoothed import smoothed
+from .observers import Adaptive, AdaptiveEstimate, Lifted
+
+
+@eqx.filter_jit
+def smoothed_adaptive(
+    observer: Adaptive, log: Checked, common: object, coasts: bool
+) -> AdaptiveEstimate:
+    """The estimates at all instants of a `log` that has been checked.
+
+    The filter of the parameters has them from the whole log at its end. With them known, x
+    is smoothed; what is not known of them moves all of it, along its derivatives by them:
+    the covariance of x is what it is with the parameters known, and that of its mean."""
+    filtered, _ = run_log(observer, log, common, 1, None, "scan", coasts)
+    model = observer.law.model
+    nominal = model.nominal().astype(filtered.value.dtype)
+    # After a hole in which all was lost the filter begins again.
+    variance = filtered.parameter_covariance[:, 0, 0]
+    best = jnp.argmin(jnp.where(filtered.coasting, jnp.inf, variance))
+    of_best = lambda x: x[best]
+    parameters, P = of_best(filtered.parameters), of_best(filtered.parameter_covariance)
+
+    def known(errors):
+        lifted = Lifted(
+            model.at(errors),
+            observer.output_deviation,
+            observer.input_deviation,
+            initial=observer.initial,
+        )
+        found = smoothed(lifted, log, common, coasts)
+        return found.x, (found, lifted)
+
+    slopes = jax.jacfwd(known, has_aux=True)
+    by_errors, (found, lifted) = slopes(parameters / nominal - 1.0)
+    by_each = by_errors / nominal
+    covariance = found.covariance + by_each @ P @ by_each.mT
+    estimate = found._replace(covariance=covariance).judged(lifted)
+    everywhere = lambda x: jnp.broadcast_to(x, (found.missing.size, *x.shape))
+    return AdaptiveEstimate(
+        estimate.value,
+        estimate.certificate,
+        estimate.coasting | jnp.all(filtered.coasting),
+        covariance,
+        parameters=everywhere(parameters),
+        parameter_covariance=everywhere(P),
+        held=everywhere(of_best(filtered.held)),
+    )
