@@ -1,10 +1,9 @@
 """Smoothing of a log: each estimate from what came before and after it."""
 
-from jaxtyping import ArrayLike
-
 from typing import overload
 
 import jax.numpy as jnp
+from jaxtyping import ArrayLike
 
 from . import _choices
 from ._checked_log import checked_log
@@ -53,13 +52,14 @@ def smooth(
       all is lost neither side is told of the other.
 
     The filter runs forward, and the information of what follows backward; each estimate
-    weighs the two. The parameters of an [`Adaptive`][] are those that it has found at the
-    end of the log, in every row; what is not known of them is in each covariance. Beside the filter's the error of a motor's flux is 1.2 to 1.4 times
-    smaller, and the start of the log is as good as the rest.
+    weighs the two. Beside the filter's the error of a motor's flux is 1.2 to 1.4 times
+    smaller, and the start of the log is as good as the rest. The parameters of an
+    [`Adaptive`][] are those that it has found at the end of the log, in every row; what is
+    not known of them is in each covariance.
 
     **Returns:** an [`Estimate`][] whose leaves have a leading axis of length `N`, with the
-    covariance of each value, and of an [`Adaptive`][] an [`AdaptiveEstimate`][]. It coasts where the whole log does not tell what x is.
-    Differentiable; `jax.vmap` maps it.
+    covariance of each value; of an [`Adaptive`][] an [`AdaptiveEstimate`][]. It coasts
+    where the whole log does not tell what x is. Differentiable; `jax.vmap` maps it.
 
     **Raises:** `ValueError` for another observer, for an [`Adaptive`][] whose parameters
     drift, and as [`replay`][].

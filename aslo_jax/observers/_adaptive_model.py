@@ -6,6 +6,7 @@ must be moved, at least, for the row to hold. That has the variance one wherever
 does not vanish at a wrong solution, as the noise of the row itself does.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -112,15 +113,14 @@ def distance(
     def at(w):  # w: y in its standard deviations
         return missed(model.row(errors, u, unflat(s * w)), x)
 
-    # Slopes where the row holds, but for one step of Newton: x may be far from it at the
-    # start.
+    # Slopes where the row holds: x may be far from it at the start.
     w = smooth / s
-    J = jax.jacfwd(at)(w)
-    w = w - J * (at(w) * safe_reciprocal(jnp.sum(J * J)))
+    H = jax.jacfwd(jax.jacfwd(at))(w)
+    w = w - _to_row(at, H, w)
     foot = unflat(s * w)
     row = model.row(errors, u, foot)
     gradient = row.times(x) - row.c
-    J, H = jax.jacfwd(at)(w), jax.jacfwd(jax.jacfwd(at))(w)
+    J = jax.jacfwd(at)(w)
     inverse = safe_rsqrt(jnp.sum(J * J))
     along = J * inverse
     by_errors = jax.jacfwd(lambda e: missed(model.row(e, u, foot), x))(errors)
@@ -134,6 +134,20 @@ def distance(
     value = value / (1.0 + jnp.maximum(0.5 * bend * value, -0.5))
     mean = 0.5 * (jnp.trace(H) * inverse - bend)
     return Distance(value, mean, slope, along, curvature)
+
+
+def _to_row(
+    at: Callable[[Array], Array], H: Float[Array, "p p"], w: Float[Array, " p"]
+) -> Float[Array, " p"]:
+    """How far from w, along its slope, a quadratic function with the second derivative H is
+    zero."""
+    value, J = at(w), jax.jacfwd(at)(w)
+    inverse = safe_rsqrt(jnp.sum(J * J))
+    size, along = jnp.sum(J * J) * inverse, J * inverse
+    # The nearer root of `value - size t + bend t^2/2 = 0`.
+    square = size * size - 2.0 * jnp.sum(along * (H @ along)) * value
+    root = square * safe_rsqrt(square)
+    return along * (2.0 * value * safe_reciprocal(size + root))
 
 
 def slope_by_y(
