@@ -2,7 +2,9 @@
 
 from typing import overload
 
+import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import ArrayLike
 
 from . import _choices
@@ -75,9 +77,12 @@ def smooth(
     coasts = missing == "coast"
     if isinstance(observer, Lifted):
         return smoothed(observer, log, common, coasts).judged(observer)
-    if not is_concrete(observer.drift) or jnp.any(observer.drift > 0.0):
-        raise ValueError(
-            "Argument `observer` must have parameters that are constant, `drift=0`, to be "
-            f"smoothed, but drifts by {observer.drift} 1/sqrt(s)."
-        )
+    drifts = (
+        "Argument `observer` must have parameters that are constant, `drift=0`, to be "
+        "smoothed, but they drift."
+    )
+    if not is_concrete(observer.drift):
+        observer = eqx.error_if(observer, jnp.any(observer.drift > 0.0), drifts)
+    elif np.any(np.asarray(observer.drift) > 0.0):
+        raise ValueError(drifts)
     return smoothed_adaptive(observer, log, common, coasts)
