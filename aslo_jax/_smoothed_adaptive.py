@@ -4,9 +4,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ._factored import array, factored, stacked
 from ._replay import Checked, run_log
 from ._smoothed import smoothed
 from .observers import Adaptive, AdaptiveEstimate, Lifted
+from .observers._lifting import matrix
 
 
 @eqx.filter_jit
@@ -16,8 +18,8 @@ def smoothed_adaptive(
     """The estimates at all instants of a `log` that has been checked.
 
     The filter of the parameters has them from the whole log at its end. With them known, x
-    is smoothed; what is not known of them moves all of it, along its derivatives by them:
-    the covariance of x is what it is with the parameters known, and that of its mean."""
+    is smoothed; what is not known of them moves all of it: the covariance of x is what it
+    is with the parameters known, and that of its mean."""
     filtered, _ = run_log(observer, log, common, 1, None, "scan", coasts)
     model = observer.law.model
     nominal = model.nominal().astype(filtered.value.dtype)
@@ -27,21 +29,23 @@ def smoothed_adaptive(
     of_best = lambda x: x[best]
     parameters, P = of_best(filtered.parameters), of_best(filtered.parameter_covariance)
 
-    def known(errors):
-        lifted = Lifted(
-            model.at(errors),
+    def lifted(parameters):
+        return Lifted(
+            model.at(parameters / nominal - 1.0),
             observer.output_deviation,
             observer.input_deviation,
             initial=observer.initial,
         )
-        found = smoothed(lifted, log, common, coasts)
-        return found.x, (found, lifted)
 
-    slopes = jax.jacfwd(known, has_aux=True)
-    by_errors, (found, lifted) = slopes(parameters / nominal - 1.0)
-    by_each = by_errors / nominal
-    covariance = found.covariance + by_each @ P @ by_each.mT
-    estimate = found._replace(covariance=covariance).judged(lifted)
+    # With those found, and one deviation away from them to both sides.
+    U, pivots = factored(matrix(P))
+    ways = (array(U, P.dtype) * jnp.sqrt(stacked(pivots, P.dtype))).T
+    each = jnp.concatenate([parameters[None], parameters + ways, parameters - ways])
+    known = jax.lax.map(lambda p: smoothed(lifted(p), log, common, coasts), each)
+    found = jax.tree.map(lambda a: a[0], known)
+    by_way = 0.5 * (known.x[1 : 1 + P.shape[0]] - known.x[1 + P.shape[0] :])
+    covariance = found.covariance + jnp.einsum("kri,krj->rij", by_way, by_way)
+    estimate = found._replace(covariance=covariance).judged(lifted(parameters))
     everywhere = lambda x: jnp.broadcast_to(x, (found.missing.size, *x.shape))
     return AdaptiveEstimate(
         estimate.value,
