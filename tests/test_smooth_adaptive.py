@@ -39,9 +39,8 @@ def logs(seeds):
 
 def smoothed(t, u, y, missing="refuse"):
     """Of each log."""
-    every = [
-        aslo.smooth(observer(), t, *log, missing=missing) for log in zip(u, y, strict=True)
-    ]
+    one = lambda log: aslo.smooth(observer(), t, *log, missing=missing)
+    every = [one(log) for log in zip(u, y, strict=True)]
     return jax.tree.map(lambda *x: np.stack(x), *every)
 
 
