@@ -77,12 +77,17 @@ def smooth(
     coasts = missing == "coast"
     if isinstance(observer, Lifted):
         return smoothed(observer, log, common, coasts).judged(observer)
+    return smoothed_adaptive(_constant(observer), log, common, coasts)
+
+
+def _constant(observer: Adaptive) -> Adaptive:
+    """The observer, whose parameters must not drift."""
     drifts = (
         "Argument `observer` must have parameters that are constant, `drift=0`, to be "
         "smoothed, but they drift."
     )
     if not is_concrete(observer.drift):
-        observer = eqx.error_if(observer, jnp.any(observer.drift > 0.0), drifts)
-    elif np.any(np.asarray(observer.drift) > 0.0):
+        return eqx.error_if(observer, jnp.any(observer.drift > 0.0), drifts)
+    if np.any(np.asarray(observer.drift) > 0.0):
         raise ValueError(drifts)
-    return smoothed_adaptive(observer, log, common, coasts)
+    return observer
