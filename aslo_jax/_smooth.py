@@ -1,13 +1,39 @@
 """Smoothing of a log: each estimate from what came before and after it."""
 
+from typing import overload
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
 from jaxtyping import ArrayLike
 
 from . import _choices
 from ._checked_log import checked_log
-from ._checks import one_of, unlike
+from ._checks import is_concrete, one_of, unlike
 from ._smoothed import smoothed
+from ._smoothed_adaptive import smoothed_adaptive
 from ._typing import Missing, PyTree
-from .observers import AbstractObserver, Estimate, Lifted
+from .observers import AbstractObserver, Adaptive, AdaptiveEstimate, Estimate, Lifted
+
+
+@overload
+def smooth(
+    observer: Adaptive,
+    t: ArrayLike,
+    u: PyTree[ArrayLike],
+    y: PyTree[ArrayLike],
+    *,
+    missing: Missing = "refuse",
+) -> AdaptiveEstimate: ...
+@overload
+def smooth(
+    observer: AbstractObserver,
+    t: ArrayLike,
+    u: PyTree[ArrayLike],
+    y: PyTree[ArrayLike],
+    *,
+    missing: Missing = "refuse",
+) -> Estimate: ...
 
 
 def smooth(
@@ -21,7 +47,7 @@ def smooth(
     """The estimate at every instant of a log from the whole log, later samples too:
     fixed-interval smoothing on the Kalman filter of a relation.
 
-    - `observer`: a [`Lifted`][];
+    - `observer`: a [`Lifted`][] or an [`Adaptive`][];
     - `t`, shape `(N,)`; `u` and `y`, as of [`replay`][];
     - `missing`: as of [`replay`][]. With `"coast"` a row of a hole is flagged, and its
       covariance is that of what the log tells from both sides; across a hole over which
@@ -29,20 +55,39 @@ def smooth(
 
     The filter runs forward, and the information of what follows backward; each estimate
     weighs the two. Beside the filter's the error of a motor's flux is 1.2 to 1.4 times
-    smaller, and the start of the log is as good as the rest.
+    smaller, and the start of the log is as good as the rest. The parameters of an
+    [`Adaptive`][] are those that it has found at the end of the log, in every row; what is
+    not known of them is in each covariance.
 
     **Returns:** an [`Estimate`][] whose leaves have a leading axis of length `N`, with the
-    covariance of each value. It coasts where the whole log does not tell what x is.
-    Differentiable; `jax.vmap` maps it.
+    covariance of each value; of an [`Adaptive`][] an [`AdaptiveEstimate`][]. It coasts
+    where the whole log does not tell what x is. Differentiable; `jax.vmap` maps it.
 
-    **Raises:** `ValueError` for another observer, and as [`replay`][].
+    **Raises:** `ValueError` for another observer, for an [`Adaptive`][] whose parameters
+    drift, and as [`replay`][].
 
     Source: Rauch, Tung, Striebel 1965, doi:10.2514/3.3166, in the form of two filters,
     which needs no inverse of a covariance: Fraser, Potter 1969,
     doi:10.1109/TAC.1969.1099196.
     """
-    if not isinstance(observer, Lifted):
-        raise unlike("observer", observer, "a `Lifted`")
+    if not isinstance(observer, Lifted | Adaptive):
+        raise unlike("observer", observer, "a `Lifted` or an `Adaptive`")
     one_of("missing", missing, _choices.Missing)
     log, common = checked_log(t, u, y, missing=missing)
-    return smoothed(observer, log, common, missing == "coast")
+    coasts = missing == "coast"
+    if isinstance(observer, Lifted):
+        return smoothed(observer, log, common, coasts).judged(observer)
+    return smoothed_adaptive(_constant(observer), log, common, coasts)
+
+
+def _constant(observer: Adaptive) -> Adaptive:
+    """The observer, whose parameters must not drift."""
+    drifts = (
+        "Argument `observer` must have parameters that are constant, `drift=0`, to be "
+        "smoothed, but they drift."
+    )
+    if not is_concrete(observer.drift):
+        return eqx.error_if(observer, jnp.any(observer.drift > 0.0), drifts)
+    if np.any(np.asarray(observer.drift) > 0.0):
+        raise ValueError(drifts)
+    return observer

@@ -17,8 +17,8 @@ from .observers._missing import Gap, either, finite, whole, zeros
 
 
 @eqx.filter_jit
-def smoothed(observer: Lifted, log: Any, common: Any, coasts: bool) -> Estimate:
-    """The estimates at all instants of a `log` that has been checked; `coasts`: whether
+def smoothed(observer: Lifted, log: Any, common: Any, coasts: bool) -> "Smoothed":
+    """What is known at all instants of a `log` that has been checked; `coasts`: whether
     samples may be missing in it."""
     _, u, y, intervals = log
     if intervals is None:
@@ -41,7 +41,21 @@ def smoothed(observer: Lifted, log: Any, common: Any, coasts: bool) -> Estimate:
     x0, P0 = _weighed(first, future[0], future[1], n)
     x, P = (jnp.concatenate([a[None], b]) for a, b in ((x0, x), (P0, P)))
 
-    return jax.vmap(lambda *row: judged(observer, *row))(signals, missing, x, P)
+    return Smoothed(signals, missing, x, P)
+
+
+class Smoothed(NamedTuple):
+    """Of all N rows: u and y, held where they are missing, and where they are, shape
+    `(N,)`; x, shape `(N, n)`, and its covariance, shape `(N, n, n)`."""
+
+    signals: tuple[PyTree, PyTree]
+    missing: Bool[Array, " N"]
+    x: Float[Array, "N n"]
+    covariance: Float[Array, "N n n"]
+
+    def judged(self, observer: Lifted) -> Estimate:
+        """The estimates."""
+        return jax.vmap(lambda *row: judged(observer, *row))(*self)
 
 
 def judged(

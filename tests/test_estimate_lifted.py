@@ -212,8 +212,9 @@ def test_what_is_refused(noisy, capsys, monkeypatch):
     machine(noisy, LIFTED)
     assert "--substeps must be 1" in refused(noisy, capsys, "--substeps", 4)
     assert "`cutoff` has no effect with" in refused(noisy, capsys, "--cutoff", 100)
-    both = refused(noisy, capsys, "--smooth", "--missing", "coast")
-    assert "do not go together" in both
+    machine(noisy, 'kind = "adaptive"\ndrift = 0.01')
+    assert "has an `observer.drift`" in refused(noisy, capsys, "--smooth")
+    machine(noisy, LIFTED)
     monkeypatch.setattr(smoothing, "MOST", 4000)
     assert "at most 4000 rows" in refused(noisy, capsys, "--smooth")
     for keys, message in (

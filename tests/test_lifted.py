@@ -392,5 +392,5 @@ def test_what_it_refuses():
     state = observer.init(y)
     with pytest.raises(ValueError, match="Argument `interval` must be given in continuous"):
         observer.vector_field(jnp.zeros(()), state, u, y)
-    with pytest.raises(ValueError, match="Argument `observer` must be a `Lifted`, but got"):
+    with pytest.raises(ValueError, match="must be a `Lifted` or an `Adaptive`, but got"):
         aslo.smooth(aslo.FO2(FLUX, 1.0), T, U, Y)

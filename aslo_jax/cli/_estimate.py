@@ -109,7 +109,7 @@ def estimate(
         typer.Option(
             "--smooth",
             help="Each row from the whole log, later rows too; for an observer.kind of "
-            '"lifted_kalman".',
+            '"lifted_kalman" or "adaptive".',
         ),
     ] = False,
     max_gap: MaxGap = None,
@@ -173,7 +173,7 @@ def estimate(
             )
     steps = _substeps(substeps, description, machine)
     if smooth:
-        check_smoothing(description, str(machine), missing)
+        check_smoothing(description, str(machine))
     with staged(*outputs.values()) as parts:
         reader, rates = opened(
             log,

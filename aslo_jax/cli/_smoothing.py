@@ -1,31 +1,33 @@
 """What can be smoothed: which machines, and how long a log."""
 
+import numpy as np
+
 from ..logs import LogReader
 from ..machines import AbstractDescription, MachineError
-from ..machines._lifted import LIFTED, kind_of
+from ..machines._lifted import ADAPTIVE, LIFTED, is_adaptive, is_lifted
 
 MOST = 1_000_000  # rows: about a gigabyte of beliefs
 
 
-def check_smoothing(machine: AbstractDescription, path: str, missing: str) -> None:
+def check_smoothing(machine: AbstractDescription, path: str) -> None:
     """Refuse a machine whose observer is not smoothed.
 
-    **Raises:** [`MachineError`][], `ValueError`.
+    **Raises:** [`MachineError`][].
     """
-    if kind_of(machine.observer) != LIFTED:
+    if not is_lifted(machine.observer):
         raise MachineError(
-            f'--smooth is for an `observer.kind` of "{LIFTED}", which {path} has not: '
-            "no other observer is smoothed."
+            f'--smooth is for an `observer.kind` of "{LIFTED}" or "{ADAPTIVE}", which '
+            f"{path} has not: no other observer is smoothed."
+        )
+    if is_adaptive(machine.observer) and np.any(np.asarray(machine.observer.drift)):
+        raise MachineError(
+            f"--smooth is for parameters that are constant, but {path} has an "
+            "`observer.drift`: remove it, or do not smooth."
         )
     if machine.kind == "magnetic_bearing":
         raise MachineError(
             f'--smooth is not for {path}, whose kind is "magnetic_bearing": the velocity '
             "comes from a filter, which does not look ahead."
-        )
-    if missing == "coast":
-        raise ValueError(
-            "--smooth and --missing coast do not go together: samples that are missing are "
-            "not smoothed over; use --missing interpolate."
         )
 
 

@@ -20,6 +20,7 @@ from ..machines._base import Columns, Rates
 from ..machines._lifted import is_lifted, parameter_columns
 from ..observers import (
     AbstractObserver,
+    Adaptive,
     Lifted,
     ObserverState,
     PhaseLockedLoop,
@@ -128,7 +129,7 @@ class Replayed:
 
 class Smoothed(Replayed):
     """As [`Replayed`][] with every estimate from the whole of its piece, by [`smooth`][]:
-    of a [`Lifted`][], or of several side by side."""
+    of a Kalman filter, or of several side by side."""
 
     def __call__(
         self,
@@ -138,8 +139,10 @@ class Smoothed(Replayed):
     ) -> Any:
         observer = self.observer
         each = observer.observers if isinstance(observer, SideBySide) else observer
-        leaf = lambda x: isinstance(x, Lifted)
-        done = jax.tree.map(lambda one: smooth(one, t, u, y), each, is_leaf=leaf)
+        leaf = lambda x: isinstance(x, Lifted | Adaptive)
+        lost = not (np.isfinite(u).all() and np.isfinite(y).all())
+        one = lambda x: smooth(x, t, u, y, missing="coast" if lost else "refuse")
+        done = jax.tree.map(one, each, is_leaf=leaf)
         return jax.tree.map(np.asarray, done)
 
 

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
@@ -34,43 +35,51 @@ AGREE = 0.8  # the cosine between directions of one solution
 LEAST = 1.3
 LEARNING = 0.3  # s in which information must come to be more than what noise feigns
 AVERAGE = 0.05  # s
+UNTRIED = 10.0  # times as fast as not to be held
 FAR = 0.1  # of its size: an x that may be off by so much in a hole is begun again
 
 
 class Member(NamedTuple):
     """Kalman filters: `mean` of x and the relative errors of the parameters, shape
-    `(n + q,)`, and their covariance; y for slopes, and its direction in the row, shape
-    `(p,)`; the logarithm of a weight."""
+    `(n + q,)`, and their covariance; y for slopes, now and `ahead`, at the next sample, and
+    its direction in the row, shape `(p,)`; how fast it learns of the first parameter (1/s);
+    the logarithm of a weight."""
 
     mean: Float[Array, "*j N"]
     covariance: Float[Array, "*j N N"]
     smooth: Float[Array, "*j p"]
+    ahead: Float[Array, "*j p"]
     direction: Float[Array, "*j p"]
+    learning: Float[Array, "*j"]
     score: Float[Array, "*j"]
 
 
 class AdaptiveBelief(NamedTuple):
-    """`fits` and `members` of the bank, and the `one` that is left of them; the samples
-    that the fits have, the length of their window, when enough of them were certain (0
-    before); whether the filters have `started`, and how long ago (s); whether they are
-    `merged`; how fast they learn of the first parameter (1/s) and whether the parameters
-    are held; mean and covariance of all members that agree with the best, and the weight of
-    the others."""
+    """`fits` and `members` of the bank; the samples that the fits have, the length of their
+    window, when enough of them were certain (0 before); whether the filters have `started`,
+    and how long ago (s); whether they are `merged`, and whether the parameters are held;
+    the `one` that is of all members that agree with the best, and the weight of the
+    others."""
 
     fits: Fit
     members: Member
-    one: Member
     samples: Float[Array, ""]
     window: Float[Array, ""]
     enough: Float[Array, ""]
     started: Bool[Array, ""]
     age: Float[Array, ""]
     merged: Bool[Array, ""]
-    learning: Float[Array, ""]
     held: Bool[Array, ""]
-    mean: Float[Array, " N"]
-    covariance: Float[Array, "N N"]
+    one: Member
     rivals: Float[Array, ""]
+
+    @property
+    def mean(self) -> Float[Array, " N"]:
+        return self.one.mean
+
+    @property
+    def covariance(self) -> Float[Array, "N N"]:
+        return self.one.covariance
 
 
 class AdaptiveKalman(AbstractLaw):
@@ -106,22 +115,19 @@ class AdaptiveKalman(AbstractLaw):
         P = jnp.diag(jnp.concatenate([vague, self.deviations.astype(dtype) ** 2]))
         alike = lambda a: jnp.broadcast_to(a, (J, *a.shape))
         unit = jnp.zeros_like(smooth).at[0].set(1.0)
-        one = Member(mean, jnp.eye(n + q, dtype=dtype), smooth, unit, zero)
+        one = Member(mean, P, smooth, smooth, unit, zero, zero)
         join = lambda e: joined(emptied(z), self.model, self.errors(e), u, y)
         return AdaptiveBelief(
             jax.vmap(join)(self.grid()),
             jax.tree.map(alike, one),
-            one,
             zero + 1.0,
             zero,
             zero,
             no,
             zero,
             no,
-            zero,
             no,
-            mean,
-            P,
+            one,
             zero + 1.0,
         )
 
@@ -147,40 +153,36 @@ class AdaptiveKalman(AbstractLaw):
             return X
         n = X.mean.shape[0] - self.deviations.shape[0]
         unknown = jnp.trace(X.covariance[:n, :n]) > FAR**2 * jnp.sum(X.mean[:n] ** 2)
-        again = lambda X: self.start(u, y1)._replace(mean=X.mean)
+
+        def again(X):
+            new = self.start(u, y1)
+            return new._replace(one=new.one._replace(mean=X.mean))
+
         # Until the first sample after the hole, with which the fits begin.
         beside = (hole > 0.0) | (before > 0.0)
         return jax.lax.cond(beside & (unknown | ~X.started), again, lambda X: X, X)
 
     def _settled(self, X: AdaptiveBelief, sample: Any) -> AdaptiveBelief:
         """One filter; what it came from stays as it was."""
-        one, learning, held = self._step(X.one, X.age, X.learning, sample, holding=True)
-        return X._replace(
-            one=one,
-            age=X.age + sample[-1],
-            learning=learning,
-            held=held,
-            mean=one.mean,
-            covariance=one.covariance,
-        )
+        one, held, _ = self._step(X.one, X.age, sample, alone=True)
+        return X._replace(one=one, age=X.age + sample[-1], held=held)
 
     def _compete(self, X: AdaptiveBelief, sample: Any) -> AdaptiveBelief:
         """A filter for each member; they merge where no rival is left."""
-        step = lambda m: self._step(m, X.age, X.learning, sample, holding=False)[0]
-        members = jax.vmap(step)(X.members)
-        members = members._replace(score=members.score - jnp.max(members.score))
-        mean, P, rivals, best = _agreed(members)
+        step = lambda m: self._step(m, X.age, sample, alone=False)
+        members, held, loss = jax.vmap(step)(X.members)
+        # What noise feigns, or a model that is nearly right, does not tell them apart.
+        score = members.score - jnp.where(jnp.all(held), 0.0, loss)
+        members = members._replace(score=score - jnp.max(score))
+        one, rivals, best = _agreed(members)
         age = X.age + sample[-1]
         merged = (age >= MERGING) & (rivals < ALIVE)
-        smooth, direction = best @ members.smooth, best @ members.direction
-        one = Member(mean, P, smooth, direction, jnp.zeros_like(age))
         return X._replace(
             members=members,
-            one=one,
             age=age,
             merged=merged,
-            mean=mean,
-            covariance=P,
+            held=jnp.sum(best * held) > 0.5,
+            one=one,
             rivals=jnp.where(merged, 0.0, rivals),
         )
 
@@ -216,17 +218,17 @@ class AdaptiveKalman(AbstractLaw):
         z = model.row(self.errors(0.0 * h), u, y0).z
         z = z + model.row(self.errors(0.0 * h), u, y1).z
         mean = X.mean.at[: initial.shape[0]].set(initial + 0.5 * h * z)
-        best = _agreed(members)
+        one, rivals, _ = _agreed(members)
+        chosen = lambda a, b: jax.tree.map(lambda a, b: jnp.where(started, a, b), a, b)
         return X._replace(
             fits=fits,
-            members=jax.tree.map(lambda a, b: jnp.where(started, a, b), members, X.members),
+            members=chosen(members, X.members),
             samples=jnp.where(over, 0.0, count),
             window=window,
             enough=enough,
             started=started,
-            mean=jnp.where(started, best[0], mean),
-            covariance=jnp.where(started, best[1], X.covariance),
-            rivals=jnp.where(started, best[2], 1.0),
+            one=chosen(one, X.one._replace(mean=mean)),
+            rivals=jnp.where(started, rivals, 1.0),
         )
 
     def _members(self, found: Found, like: Member, u: PyTree, y: PyTree) -> Member:
@@ -238,6 +240,8 @@ class AdaptiveKalman(AbstractLaw):
         along = _slopes(x) / spacing  # how x depends on the first parameter
         bent = 0.5 * OVERLAP**2 * _bends(x)  # and what of that is not a straight line
         flat, _ = ravel_pytree(y)
+        # None is held before it has shown how fast it learns.
+        fast = UNTRIED / (self.hold**2 * LEARNING)
 
         def member(x, certain, P, e, along, bent):
             mean = jnp.concatenate([x, self.errors(e)])
@@ -251,14 +255,15 @@ class AdaptiveKalman(AbstractLaw):
             direction, _ = slope_by_y(self.model, mean, u, y)
             prior = -0.5 * (e / self.deviations[0]) ** 2
             score = jnp.where(certain, prior, -1e6)
-            return Member(mean, P, flat, direction, score)
+            return Member(mean, mirrored(P), flat, flat, direction, fast, score)
 
         return jax.vmap(member)(x, found.certain, found.covariance, grid, along, bent)
 
     def _step(
-        self, m: Member, age: Array, learning: Array, sample: Any, holding: bool
+        self, m: Member, age: Array, sample: Any, alone: bool
     ) -> tuple[Member, Array, Array]:
-        """One filter over an interval and with the y at its end."""
+        """One filter over an interval and with the y at its end; whether it holds the
+        parameters, and what the score of one that is not `alone` loses."""
         u, y0, y1, hole, h = sample
         missing = hole > 0.0
         model, q = self.model, self.deviations.shape[0]
@@ -269,7 +274,7 @@ class AdaptiveKalman(AbstractLaw):
         moved = x + 0.5 * h * (z_of(errors, y0) + z_of(errors, y1))
         mean = jnp.concatenate([moved, errors])
         entry = model.entry(errors, u, y1)
-        by_errors = h * jax.jacfwd(lambda e: z_of(e, unflat(m.smooth)))(errors)
+        by_errors = h * jax.jacfwd(lambda e: z_of(e, unflat(m.ahead)))(errors)
         # P of (x + by_errors errors, errors).
         cross = P[:n, n:] + by_errors @ P[n:, n:]
         square = P[:n, :n] + by_errors @ P[:n, n:].T + cross @ by_errors.T
@@ -279,54 +284,47 @@ class AdaptiveKalman(AbstractLaw):
         lost = grown(hole) * jnp.sum((moved - x) ** 2)
         square = square + lost * jnp.eye(n, dtype=square.dtype)
         own = P[n:, n:] + h * jnp.diag(self.drift**2)
-        P = _bordered(square, cross, own)
+        P = mirrored(_bordered(square, cross, own))
 
-        smooth, before = m.smooth, m.direction
-        # y turns with the row, whose direction depends on it: twice is enough.
-        after, _ = slope_by_y(model, mean, u, unflat(smooth))
-        after, _ = slope_by_y(model, mean, u, unflat(turned(smooth, before, after)))
-        smooth = turned(smooth, before, after)
-        d = distance(model, mean, u, y1, smooth)
+        d = distance(model, mean, u, y1, m.ahead)
         bent = d.curvature @ P[:n, :n]
         shared = jnp.concatenate([by_y @ d.direction, jnp.zeros(q, P.dtype)])
         Pa = P @ d.slope + shared
         S = jnp.sum(d.slope * (Pa + shared)) + 1.0 + 0.5 * jnp.trace(bent @ bent)
+        inverse = 1.0 / S
         surprise = d.value - d.mean - 0.5 * jnp.trace(bent)
         told = d.slope[:n] @ by_y + d.direction  # of the noise of y by a distance
-        full = Pa / S
-        gain, held = full, jnp.asarray(False)
-        if holding:
-            share = (full[n] / P[n, n]) ** 2 * S / h
-            learning = learning + jnp.minimum(h / AVERAGE, 1.0) * (share - learning)
-            held = P[n, n] > self.hold**2
-            held = held & (learning * self.hold**2 * LEARNING < 1.0)
-            gain = gain.at[n:].set(jnp.where(held, 0.0, gain[n:]))
+        # Half of that noise will be in the next interval, of which the distance has told.
+        full = Pa.at[:n].add(by_y @ told)
+        gain = full * inverse
+        drop = full[:, None] * gain
+        share = (Pa[n] / P[n, n]) ** 2 * inverse / h
+        learning = m.learning + jnp.minimum(h / AVERAGE, 1.0) * (share - m.learning)
+        held = P[n, n] > self.hold**2
+        held = held & (learning * self.hold**2 * LEARNING < 1.0)
+        gain = gain.at[n:].set(jnp.where(held, 0.0, gain[n:]))
+        drop = drop.at[n:, n:].set(jnp.where(held, 0.0, drop[n:, n:]))
         seen = jnp.where(missing, 0.0, 1.0)
-        both = gain[:, None] * full
-        drop = both + both.T - gain[:, None] * gain
-        mean, P = mean - seen * gain * surprise, P - seen * S * drop
-        # The other half, of which the distance has told.
-        rest = jnp.eye(told.size, dtype=P.dtype) - told[:, None] * told / S
-        common = by_y @ (by_y.T - told[:, None] * full[:n])
-        inner = common + common.T + by_y @ rest @ by_y.T
-        aside = -(by_y @ told)[:, None] * full[n:]
-        P = P + seen * _bordered(inner, aside)
-        mean = mean.at[:n].add(-seen * by_y @ told * surprise / S)
-        weight = jnp.clip(h * jnp.maximum(SMOOTHING, 1.0 / (age + h)), 0.0, 1.0)
+        mean = mean - seen * gain * surprise
+        P = P.at[:n, :n].add(3.0 * seen * by_y @ by_y.T) - seen * drop
+        onward = lambda y: turned(y, m.direction, d.direction)
+        smooth = onward(m.smooth)
         away = jnp.mean(((flat - smooth) / spread_of(model, y1)) ** 2)
+        weight = jnp.minimum(h * SMOOTHING, 1.0)
+        loss = jnp.zeros_like(S)
+        if not alone:
+            weight = jnp.minimum(jnp.maximum(weight, h / (age + h)), 1.0)
+            # By the variance that noise of the sample alone would have, which differs from
+            # member to member, and with it how likely any y is, by as much: that cancels.
+            own = 1.0 / jnp.sum(told * told)
+            over = jnp.maximum(S * own, LEAST)
+            loss = 0.5 * seen * (surprise * surprise * own / over + jnp.log(over))
         weight = jnp.maximum(weight, 1.0 - FOLLOWED * safe_reciprocal(away))
-        # What noise of the samples alone would do differs from member to member, and with
-        # it how likely any y is, by as much: that cancels.
-        over = jnp.maximum(S / jnp.sum(told * told), LEAST)
-        loss = 0.5 * (surprise * surprise / S + jnp.log(over))
-        found = Member(
-            mean,
-            P,
-            smooth + seen * weight * (flat - smooth),
-            after,
-            m.score - seen * loss,
-        )
-        return found, learning, held
+        smooth = smooth + seen * weight * (flat - smooth)
+        # The row will turn by as much again.
+        P, turn = mirrored(P), d.direction
+        after = Member(mean, P, smooth, onward(smooth), turn, learning, m.score)
+        return after, held, loss
 
 
 def _bordered(square: Array, cross: Array, own: Array | float = 0.0) -> Array:
@@ -335,6 +333,12 @@ def _bordered(square: Array, cross: Array, own: Array | float = 0.0) -> Array:
     own = jnp.broadcast_to(jnp.asarray(own, cross.dtype), (q, q))
     upper = jnp.concatenate([square, cross], axis=1)
     return jnp.concatenate([upper, jnp.concatenate([cross.T, own], axis=1)])
+
+
+def mirrored(P: Float[Array, "N N"]) -> Float[Array, "N N"]:
+    """A symmetric matrix by what is above its diagonal."""
+    above = np.triu(np.ones(P.shape, bool))
+    return jnp.where(above, P, P.T)
 
 
 def _slopes(x: Float[Array, "j n"]) -> Float[Array, "j n"]:
@@ -350,11 +354,9 @@ def _bends(x: Float[Array, "j n"]) -> Float[Array, "j n"]:
     return jnp.concatenate([inner[:1], inner, inner[-1:]])
 
 
-def _agreed(
-    members: Member,
-) -> tuple[Float[Array, " N"], Float[Array, "N N"], Float[Array, ""], Float[Array, " j"]]:
-    """Mean and covariance of the members that agree with the best on the direction of the
-    row, the weight of the others, and which is the best."""
+def _agreed(members: Member) -> tuple[Member, Float[Array, ""], Float[Array, " j"]]:
+    """What is left of the members that agree with the best on the direction of the row, the
+    weight of the others, and which is the best."""
     top = jnp.max(members.score)
     best = (members.score == top).astype(top.dtype)
     best = best / jnp.sum(best)
@@ -367,4 +369,6 @@ def _agreed(
     away = members.mean - mean
     spread = members.covariance + away[:, :, None] * away[:, None, :]
     P = jnp.sum(share[:, None, None] * spread, axis=0)
-    return mean, P, 1.0 - total / jnp.sum(weight), best
+    one = jax.tree.map(lambda x: jnp.tensordot(best, x, 1), members)
+    one = one._replace(mean=mean, covariance=mirrored(P), score=jnp.zeros_like(top))
+    return one, 1.0 - total / jnp.sum(weight), best

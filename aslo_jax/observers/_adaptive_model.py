@@ -102,8 +102,9 @@ class Distance(NamedTuple):
 def distance(
     model: Model, X: Float[Array, " N"], u: PyTree, y: PyTree, smooth: Float[Array, " p"]
 ) -> Distance:
-    """That of the row at y; slopes at a y that is `smooth`, flat: noise that is in both a
-    slope and what it is multiplied by would look like information."""
+    """That of the row at y, to the second order; slopes at a y that is `smooth`, flat:
+    noise that is in both a slope and what it is multiplied by would look like
+    information."""
     flat, unflat = ravel_pytree(y)
     n = X.shape[0] - len(model.parameters)
     x, errors = X[:n], X[n:]
@@ -112,36 +113,41 @@ def distance(
     def at(w):  # w: y in its standard deviations
         return missed(model.row(errors, u, unflat(s * w)), x)
 
-    H = jax.jacfwd(jax.jacfwd(at))(flat / s)
-    found, along, inverse = _nearest(at, H, flat / s)
-    mean = 0.5 * (jnp.trace(H) - jnp.sum(along * (H @ along))) * inverse
-
     # Slopes where the row holds: x may be far from it at the start.
-    away, along, _ = _nearest(at, H, smooth / s)
-    foot = unflat(smooth - s * along * away)
+    w = smooth / s
+    H = jax.jacfwd(jax.jacfwd(at))(w)
+    w = w - _to_row(at, H, w)
+    foot = unflat(s * w)
     row = model.row(errors, u, foot)
     gradient = row.times(x) - row.c
-    direction, inverse = slope_by_y(model, X, u, foot)
+    J = jax.jacfwd(at)(w)
+    inverse = safe_rsqrt(jnp.sum(J * J))
+    along = J * inverse
     by_errors = jax.jacfwd(lambda e: missed(model.row(e, u, foot), x))(errors)
     slope = jnp.concatenate([gradient, by_errors]) * inverse
-    unit = gradient * safe_rsqrt(jnp.sum(gradient * gradient))
-    across = jnp.eye(n, dtype=x.dtype) - jnp.outer(unit, unit)
+    over = safe_reciprocal(jnp.sum(gradient * gradient))
+    across = jnp.eye(n, dtype=x.dtype) - (over * gradient)[:, None] * gradient
     curvature = across @ matrix_of(row) @ across * inverse
-    return Distance(found, mean, slope, direction, curvature)
+
+    bend = jnp.sum(along * (H @ along)) * inverse
+    value = at(flat / s) * inverse
+    value = value / (1.0 + jnp.maximum(0.5 * bend * value, -0.5))
+    mean = 0.5 * (jnp.trace(H) * inverse - bend)
+    return Distance(value, mean, slope, along, curvature)
 
 
-def _nearest(
+def _to_row(
     at: Callable[[Array], Array], H: Float[Array, "p p"], w: Float[Array, " p"]
-) -> tuple[Float[Array, ""], Float[Array, " p"], Float[Array, ""]]:
+) -> Float[Array, " p"]:
     """How far from w, along its slope, a quadratic function with the second derivative H is
-    zero; the direction of that slope, and one over its size."""
+    zero."""
     value, J = at(w), jax.jacfwd(at)(w)
     inverse = safe_rsqrt(jnp.sum(J * J))
     size, along = jnp.sum(J * J) * inverse, J * inverse
     # The nearer root of `value - size t + bend t^2/2 = 0`.
     square = size * size - 2.0 * jnp.sum(along * (H @ along)) * value
     root = square * safe_rsqrt(square)
-    return 2.0 * value * safe_reciprocal(size + root), along, inverse
+    return along * (2.0 * value * safe_reciprocal(size + root))
 
 
 def slope_by_y(

@@ -38,7 +38,7 @@ def contenders() -> dict[str, Contender]:
     return {
         "ASLO": Contender(one, rate),
         "ASLO, two rates": Contender(
-            two, {"cutoff, rad/s": (0.5, 5000.0), "forgetting, rad/s": (0.3, 500.0)}
+            two, {"cutoff, rad/s": (0.1, 5000.0), "forgetting, rad/s": (0.3, 500.0)}
         ),
         "FO1": Contender(
             lambda relation, rate, gain: aslo.FO1(relation, aslo.LowPass(rate), gain),

@@ -8,8 +8,8 @@ from .contenders import Contender, contenders
 from .regimes import AFTER, INTERVAL, STEPS, experiment, samples
 
 SIZE = 0.2086  # Wb
-ROUNDS, TRIALS = 2, 16
-TRAINING, VALIDATION, STARTS = range(1, 5), range(5000, 5200), range(20_000, 22_000)
+ROUNDS, TRIALS = 4, 16
+TRAINING, VALIDATION, STARTS = range(1, 9), range(5000, 5200), range(20_000, 22_000)
 ALONE = range(7000, 7020)  # for each of the wrong parameters, of who holds them
 BOUNDED = range(5000, 5016)
 # Relative errors of the resistance and the magnet flux that an observer is given.
@@ -25,7 +25,11 @@ WRONG = (
     (-0.2, 0.03),
     (-0.2, -0.03),
 )
-PRIOR = {"resistance": 0.1, "magnet_flux": 0.02}  # that `Adaptive` has
+# What is known before of those who are wrong in this way: the root mean square.
+PRIOR = {
+    name: math.sqrt(sum(each[k] ** 2 for each in WRONG) / len(WRONG))
+    for k, name in enumerate(("resistance", "magnet_flux"))
+}
 LOST, LAST = 10e-3, 0.5  # Wb and s: a failure, unflagged at the end
 COVERED = 5.991  # of chi squared with two degrees of freedom, 95 %
 
@@ -146,7 +150,7 @@ def judged(regime: str, who: str, contender: Contender) -> dict[str, Any]:
 
 def bounds(regime: str) -> dict[str, float]:
     """The Cramér-Rao bounds (Wb) for those who know no torque, and resistance and magnet
-    flux exactly or to the prior alone; and of the resistance at the end, relative."""
+    flux exactly or as they are wrong; and of the resistance at the end, relative."""
     import jax.numpy as jnp
     import numpy as np
 
