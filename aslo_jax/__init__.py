@@ -97,6 +97,7 @@ if TYPE_CHECKING:
         Quadratic as Quadratic,
         Rate as Rate,
         Row as Row,
+        Rows as Rows,
         swap as swap,
     )
     from .solvers import RungeKutta4 as RungeKutta4
@@ -149,6 +150,7 @@ __all__ = [
     "ReducedLuenberger",
     "Repeat",
     "Row",
+    "Rows",
     "RungeKutta4",
     "Runner",
     "SelfConsistent",
@@ -231,7 +233,16 @@ __getattr__, __dir__ = _lazily(
             "velocity_observer",
         ),
         "realise": ("Pass",),
-        "relations": ("AbstractTerms", "Linear", "Quadratic", "Rate", "Row", "swap"),
+        "relations": (
+            "AbstractTerms",
+            "Linear",
+            "Quadratic",
+            "Rate",
+            "Row",
+    "Rows",
+            "Rows",
+            "swap",
+        ),
         "solvers": ("RungeKutta4",),
         "structure": ("Structure", "StructureError", "structure_of"),
     },
