@@ -85,7 +85,7 @@ class AbstractTerms(Module):
                 f"{_name(relation)} gives {beside}; check the shapes of `u` and `y`."
             )
         n = beside[0]
-        for name, shape in (("c", (n,)), ("d", ()), ("s", ()), ("A", (n, n))):
+        for name, shape in self.shapes(n).items():
             term = getattr(self, name, None)
             if term is not None and jnp.shape(term) != shape:
                 raise ValueError(
@@ -93,6 +93,10 @@ class AbstractTerms(Module):
                     f"`z` of shape {(n,)}, but {_name(relation)} gives {jnp.shape(term)}; "
                     "check the shapes of `u` and `y`."
                 )
+
+    def shapes(self, n: int) -> dict[str, tuple[int, ...]]:
+        """The shapes that terms must have beside a `z` of n entries."""
+        return {"c": (n,), "d": (), "s": (), "A": (n, n)}
 
     def drift(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
         """The known derivative `A x + z` at `x` (units of x per second)."""
@@ -206,18 +210,9 @@ class Rows(AbstractTerms):
     A: Float[Array, "n n"] | None = None
     constant: bool = eqx.field(static=True, default=False)
 
-    def check(self, relation: Callable[..., Any]) -> None:
-        super().check(relation)
-        n, m = jnp.size(self.z), jnp.shape(self.C)[0]
-        k = jnp.shape(self.s)[0]
-        for name, shape in (("C", (m, n)), ("d", (m,)), ("s", (min(k, m),))):
-            got = jnp.shape(getattr(self, name))
-            if got != shape:
-                raise ValueError(
-                    f"The term `{name}` of a relation of {m} rows must have the shape "
-                    f"{shape} beside a `z` of shape {(n,)}, but {_name(relation)} gives "
-                    f"{got}; check the shapes of `u` and `y`."
-                )
+    def shapes(self, n: int) -> dict[str, tuple[int, ...]]:
+        m, k = jnp.shape(self.d)[0], jnp.shape(self.s)[0]
+        return {"C": (m, n), "s": (min(k, m),), "A": (n, n)}
 
     def row(self, F: Pass) -> Row:
         X = filtered_rows(F, self.C, self.A, self.constant, "r")

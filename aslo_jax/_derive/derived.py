@@ -11,12 +11,12 @@ from .._completions import AbstractCompletion
 from .._filters import AbstractFilter
 from .._guard import Guard
 from .._typing import FilterStart
-from .closure import Closure
-from .decoding import decoder
+from .closure import Closure, Constant
+from .decoding import decoder, lifted_states
 from .lifted import Lowered, closed, lower
 from .model import Model
 from .observer import Coordinates, StateObserver, state_observer
-from .polynomials import Sampled
+from .polynomials import Ring, Sampled
 from .refusal import reason, refusal
 from .relation import DerivedRelation, Parts, relation_of
 from .symbols import program
@@ -51,10 +51,18 @@ class Derived:
     slowest: float
     unused: tuple[str, ...]
     coordinates: Coordinates
+    _ring: Ring = dataclasses.field(repr=False)
+    _basis: tuple[Constant, ...] = dataclasses.field(repr=False)
 
     def decode(self, X: Float[Array, "*batch n"]) -> Float[Array, "*batch k"]:
         """The `states`, shape `(..., k)`, from the relation's x, `X` of shape `(..., n)`."""
         return self.coordinates.states(jnp.asarray(X))
+
+    def lift(self, x: Float[Array, "N n"]) -> Float[np.ndarray, "N m"]:
+        """The relation's x, shape `(N, m)`, of all states of the model, `x` of shape `(N,
+        n)`, unknown parameters the last ones."""
+        values = np.asarray(x, float)
+        return lifted_states(self._ring, self._basis, values, self.model.values())
 
     def observer(
         self,
@@ -147,6 +155,8 @@ def _derived(lowered: Lowered, closure: Closure, algebra: Sampled) -> Derived:
         _slowest(parts),
         tuple(reason(lowered, each) for each in closure.failures),
         Coordinates(relation, steps, rates, middle),
+        lowered.ring,
+        tuple(basis),
     )
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from .._checks import function as check_function, unlike
 
-Range = tuple[float, float]
+Range = tuple[float | int, float | int]
 SPREAD = 0.5  # half the range of an unknown parameter, relative
 
 
@@ -44,7 +44,7 @@ class Model:
     states: Mapping[str, Range]
     outputs: Mapping[str, Range]
     inputs: Mapping[str, Range] = dataclasses.field(default_factory=dict)
-    parameters: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    parameters: Mapping[str, float | int] = dataclasses.field(default_factory=dict)
     unknown: Sequence[str] = ()
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
 

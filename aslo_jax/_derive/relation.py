@@ -122,7 +122,7 @@ class Parts:
         return graph.zero if graph.value(node) == 0 else graph.op("neg", node)
 
     def is_zero(self, node: int) -> bool:
-        return self.lowered.graph.value(node) == 0
+        return bool(self.lowered.graph.value(node) == 0)
 
     def is_constant(self, nodes: Sequence[int]) -> bool:
         """Whether none of them depends on u or y."""
