@@ -40,7 +40,7 @@ class Case(NamedTuple):
         if self.rate is not None:
             return stacked(self.rate(t, s))
         x, y, u = self.of(t, s)
-        p = self.model.values()
+        p = jnp.asarray(self.model.values())
         rates = self.model.measured_rates(x, y, u, p)
         return jnp.stack([*self.model.rates(x, y, u, p), *rates.values()])
 

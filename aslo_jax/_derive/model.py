@@ -81,8 +81,9 @@ class Model:
 
     @property
     def known(self) -> dict[str, float]:
-        """The parameters that are known."""
-        return {k: float(v) for k, v in self.parameters.items() if k not in self.unknown}
+        """The parameters that are known, by the alphabet, as JAX has those of a dictionary."""
+        every = sorted(self.parameters.items())
+        return {k: float(v) for k, v in every if k not in self.unknown}
 
     @property
     def ranges(self) -> dict[str, Range]:
