@@ -11,6 +11,7 @@ except ModuleNotFoundError as error:
     raise missing("typer", "cli") from error
 
 from ._calibrate import calibrate
+from ._derive import derive
 from ._estimate import Explained, estimate
 from ._paper import paper
 from ._sample import sample
@@ -47,6 +48,7 @@ def start(
 app.command(cls=Explained)(estimate)
 app.command()(calibrate)
 app.command()(tune)
+app.command()(derive)
 app.command()(sample)
 app.command()(paper)
 app.command(help=STUDY_HELP)(study)
