@@ -145,7 +145,7 @@ def test_polynomials_are_seen_through(name):
 def test_a_condition_guards_what_is_not_finite():
     model = Model(
         lambda x, y, u: 0.0 * x,
-        lambda x, y, u: [x[0] * jnp.where(y[0] > 0, jnp.sqrt(jnp.abs(y[0])), 1.0 / 0.0)],
+        lambda x, y, u: [x[0] * jnp.where(y[0] > 0, jnp.sqrt(jnp.abs(y[0])), jnp.inf)],
         states={"x": (0.0, 1.0)},
         outputs={"y": (0.5, 2.0)},
     )

@@ -11,6 +11,7 @@ from .._completions import AbstractCompletion
 from .._filters import AbstractFilter
 from .._guard import Guard
 from .._typing import FilterStart
+from .certificate import Certificate, certificate
 from .closure import Closure, Constant
 from .decoding import decoder, lifted_states
 from .lifted import Lowered, closed, lower
@@ -63,6 +64,15 @@ class Derived:
         n)`, unknown parameters the last ones."""
         values = np.asarray(x, float)
         return lifted_states(self._ring, self._basis, values, self.model.values())
+
+    def certificate(self, cutoff: float | None = None, seed: int = 0) -> Certificate:
+        """What the relation is worth on simulated signals: an exact relation may be useless
+        with the least noise.
+
+        - `cutoff` (rad/s): of the filter, by default above `slowest` and as fast as the
+          outputs change; `seed`: of signals and noise.
+        """
+        return certificate(self.relation, self.model, self.slowest, cutoff, seed)
 
     def observer(
         self,

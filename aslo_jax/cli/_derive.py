@@ -52,7 +52,7 @@ def derive(
     from ..machines import load_model
 
     derived = derivation.derive(load_model(f"{path.stem}:{name}", path.parent))
-    typer.echo(derived)
+    typer.echo(f"{derived}\n{derived.certificate()}")
     if not derived.states:
         raise ValueError("No state alone can be taken from this relation.")
     text = f'[machine]\nkind = "derived"\nmodel = "{path.stem}:{name}"\n'
