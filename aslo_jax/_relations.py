@@ -128,7 +128,8 @@ class Rate(AbstractTerms):
 
     `b = F[d] + pF[s] + (swapping term)`, `r = F[c]` (theory, section 2; Prop. 1 with
     c = 1, s = y, z = u). `constant=True` declares that c and A do not vary, so that the
-    paper's start takes F[c] as settled.
+    paper's start takes F[c] as settled. `honest=True` keeps the certificate of least
+    squares with an A at one at most, as [`Row`][] says.
     """
 
     c: Float[Array, " n"]
@@ -137,6 +138,7 @@ class Rate(AbstractTerms):
     d: Float[Array, ""] | None = None
     A: Float[Array, "n n"] | None = None
     constant: bool = eqx.field(static=True, default=False)
+    honest: bool = eqx.field(static=True, default=False)
 
     def row(self, F: Pass) -> Row:
         X = filtered_rows(F, self.c, self.A, self.constant, "r")
@@ -148,7 +150,7 @@ class Rate(AbstractTerms):
         settled = F.exact or not self.constant
         b = F.p(self.s, "s", settled=settled) + F.output(F.hidden(drive, "b"))
         scale = _size(F, self.c, self.A, self.constant)
-        return Row(F.output(X), b, self.z, self.A, scale, self.constant)
+        return Row(F.output(X), b, self.z, self.A, scale, self.constant, self.honest)
 
 
 class Quadratic(AbstractTerms):

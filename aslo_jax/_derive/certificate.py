@@ -12,7 +12,6 @@ from .._filters import LowPass
 from .._replay import replay
 from ..observers import AlgebraicObserver
 from .model import Model
-from .plant import ModelPlant
 
 SAMPLES = 2000
 PERIODS = 20.0  # of the cutoff, in the record
@@ -21,6 +20,7 @@ STRAY = 3.0  # ranges that a simulated output may be away from the middle of its
 NOISE = 1e-3  # of the range of an output
 USELESS = 1e-10  # the certificate of a relation that noise of 1e-5 spoils
 STEPS = 4  # of the simulation, in a sample
+NEWTON = 4  # steps to an output that an equation gives
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,12 +66,13 @@ def certificate(
     simulated = y is not None
     if y is None:
         y = _waves(rng, model.outputs, cutoff, t)
+    t, u = t[: len(y)], u[: len(y)]
     spans = np.array([high - low for low, high in model.outputs.values()])
     noisy = y + NOISE * spans * rng.normal(size=y.shape)
     observer = AlgebraicObserver(relation, LowPass(cutoff), guard=None)
     run = jax.vmap(lambda y: replay(observer, jnp.asarray(t), jnp.asarray(u), y))
     found = run(jnp.stack([jnp.asarray(y), jnp.asarray(noisy)]))
-    late = slice(SAMPLES // 2, None)
+    late = slice(len(y) // 2, None)
     value = float(np.median(np.asarray(found.certificate)[0, late]))
     clean, moved = np.asarray(found.value)[:, late]
     size = np.sqrt(np.mean(clean**2, axis=0))
@@ -81,21 +82,24 @@ def certificate(
 
 
 def _fastest(model: Model) -> float:
-    """A rate at which outputs change, by their rates over their ranges; one where no rate
-    is known."""
+    """A rate at which outputs change, or where none of these is known states: that of each
+    over its range, rms, the largest."""
     rng = np.random.default_rng(0)
 
     def points(ranges: Any) -> Float[np.ndarray, "N n"]:
-        return np.array([rng.uniform(*pair, 64) for pair in ranges.values()]).reshape(-1, 64).T
+        drawn = [rng.uniform(*pair, 64) for pair in ranges.values()]
+        return np.array(drawn).reshape(-1, 64).T
 
     groups = [points(g) for g in (model.ranges, model.outputs, model.inputs)]
     p = jnp.asarray(model.values())
-    rates = jax.vmap(lambda x, y, u: model.measured_rates(x, y, u, p))(
-        *map(jnp.asarray, groups)
-    )
-    spans = [high - low for low, high in model.outputs.values()]
-    found = [float(np.sqrt(np.mean(r**2))) / spans[k] for k, r in rates.items()]
-    return max([*found, 1.0]) if found else 10.0
+    signals = tuple(map(jnp.asarray, groups))
+    rates = jax.vmap(lambda *s: model.measured_rates(*s, p))(*signals)
+    ranges = list(model.outputs.values())
+    if not rates:
+        rates = dict(enumerate(jax.vmap(lambda *s: model.rates(*s, p))(*signals)))
+        ranges = list(model.ranges.values())
+    spans = [high - low for low, high in ranges]
+    return max(float(np.sqrt(np.mean(r**2))) / spans[k] for k, r in rates.items())
 
 
 def _waves(rng: Any, ranges: Any, cutoff: float, t: np.ndarray) -> np.ndarray:
@@ -110,28 +114,54 @@ def _waves(rng: Any, ranges: Any, cutoff: float, t: np.ndarray) -> np.ndarray:
 
 
 def _simulated(model: Model, t: np.ndarray, u: np.ndarray) -> np.ndarray | None:
-    """The outputs of the model, shape `(N, p)`; `None` where it does not give them, or they
-    leave their ranges by far."""
-    plant, h = ModelPlant(model), float(t[1] - t[0]) / STEPS
-    middles = np.array([0.5 * (a + b) for a, b in model.ranges.values()])
-    halves = np.array([0.5 * (b - a) for a, b in model.ranges.values()])
-    count = middles.size
-    start = jnp.asarray(plant.initial()).at[:count].add(0.25 * jnp.asarray(halves))
+    """The outputs of the model, shape `(K, p)`, until they or the states leave their ranges
+    by far; `None` where the model does not give them."""
+    n, h = len(model.ranges), float(t[1] - t[0]) / STEPS
+    p = jnp.asarray(model.values())
+    ranges = [*model.ranges.values(), *model.outputs.values()]
+    low, high = np.array(ranges, float).T
+    middle, half = jnp.asarray(0.5 * (low + high)), jnp.asarray(0.5 * (high - low))
+    moving = tuple(jax.eval_shape(model.measured_rates, *_split(middle, u[0], n), p))
+    fixed = jnp.array([k for k in range(high.size - n) if k not in moving], int)
+    given = jnp.stack([*model.equations(*_split(middle, u[0], n), p), jnp.zeros(())])
+    if fixed.size > given.size - 1:
+        return None
+
+    def consistent(s: Any, held: Any) -> Any:
+        """With the outputs that have no rate from the equations."""
+        if not fixed.size:
+            return s
+        x, y, held = _split(s, held, n)
+        for _ in range(NEWTON):
+            h = lambda v, y=y: jnp.stack(model.equations(x, y.at[fixed].set(v), held, p))
+            slope = jax.jacfwd(h)(y[fixed])
+            y = y.at[fixed].add(-jnp.linalg.lstsq(slope, h(y[fixed]))[0])
+        return jnp.concatenate([x, y])
+
+    def slope(s: Any, held: Any) -> Any:
+        signals = *_split(consistent(s, held), held, n), p
+        rates = model.measured_rates(*signals)
+        zero = jnp.zeros(())
+        outputs = [rates.get(k, zero) for k in range(high.size - n)]
+        return jnp.stack([*model.rates(*signals), *outputs])
 
     def step(s: Any, held: Any) -> Any:
-        f = lambda s: plant.vector_field(jnp.zeros(()), s, held)
-        old = s
+        f = lambda s: slope(s, held)
+        old = consistent(s, held)
         for _ in range(STEPS):
             a = f(s)
             b = f(s + 0.5 * h * a)
             c = f(s + 0.5 * h * b)
             s = s + h / 6 * (a + 2 * b + 2 * c + f(s + h * c))
-        return s, old[count:]
+        return s, old
 
-    try:
-        y = np.asarray(jax.lax.scan(step, start, jnp.asarray(u))[1])
-    except ValueError:  # a rate is missing
-        return None
-    low, high = np.array(list(model.outputs.values()), float).T
-    away = np.abs(y - 0.5 * (low + high)) / (0.5 * (high - low))
-    return y if np.isfinite(y).all() and away.max() < STRAY else None
+    start = middle.at[:n].add(0.25 * half[:n])
+    _, s = jax.lax.scan(step, start, jnp.asarray(u))
+    away = jnp.abs(s - middle) / half
+    good = np.asarray(jnp.all(jnp.isfinite(s) & (away < STRAY), axis=1))
+    count = int(np.argmin(good)) if not good.all() else good.size
+    return np.asarray(s)[:count, n:] if count > SAMPLES // 10 else None
+
+
+def _split(s: Any, u: Any, n: int) -> tuple[Any, Any, Any]:
+    return s[:n], s[n:], jnp.asarray(u)

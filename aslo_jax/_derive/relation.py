@@ -74,7 +74,7 @@ class DerivedRelation(Module):
         if self.kind == "linear":
             return Linear(c, jnp.asarray(d, dtype), z, A)
         drift = None if isinstance(d, float) and d == 0 else jnp.asarray(d, dtype)
-        return Rate(c, s[0], z, drift, A, self.constant)
+        return Rate(c, s[0], z, drift, A, self.constant, honest=A is not None)
 
 
 class Parts:
