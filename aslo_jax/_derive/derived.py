@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -12,6 +13,7 @@ from .._filters import AbstractFilter
 from .._guard import Guard
 from .._typing import FilterStart
 from .certificate import Certificate, certificate
+from .changes import Change, integrating
 from .closure import Closure, Constant
 from .decoding import decoder, lifted_states
 from .lifted import Lowered, closed, lower
@@ -20,7 +22,7 @@ from .observer import Coordinates, StateObserver, state_observer
 from .polynomials import Ring, Sampled
 from .refusal import reason, refusal
 from .relation import DerivedRelation, Parts, relation_of
-from .symbols import program
+from .symbols import Program, program
 
 PERTURBED = 0.2  # of parameters, to see whether a closure holds for others too
 
@@ -55,14 +57,21 @@ class Derived:
     _ring: Ring = dataclasses.field(repr=False)
     _basis: tuple[Constant, ...] = dataclasses.field(repr=False)
 
-    def decode(self, X: Float[Array, "*batch n"]) -> Float[Array, "*batch k"]:
-        """The `states`, shape `(..., k)`, from the relation's x, `X` of shape `(..., n)`."""
-        return self.coordinates.states(jnp.asarray(X))
+    def decode(
+        self, X: Float[Array, "*batch n"], y: Float[Array, "*batch p"]
+    ) -> Float[Array, "*batch k"]:
+        """The `states`, shape `(..., k)`, from the relation's x, `X` of shape `(..., n)`,
+        and the outputs, `y` of shape `(..., p)`."""
+        return self.coordinates.states(jnp.asarray(X), jnp.asarray(y))
 
-    def lift(self, x: Float[Array, "N n"]) -> Float[np.ndarray, "N m"]:
+    def lift(
+        self, x: Float[Array, "N n"], y: Float[Array, "N p"]
+    ) -> Float[np.ndarray, "N m"]:
         """The relation's x, shape `(N, m)`, of all states of the model, `x` of shape `(N,
-        n)`, unknown parameters the last ones."""
-        values = np.asarray(x, float)
+        n)`, unknown parameters the last ones, and the outputs, `y` of shape `(N, p)`."""
+        values, change = np.asarray(x, float), self.coordinates.change
+        if change is not None:
+            values = values * np.asarray(jax.vmap(change)(jnp.asarray(y)))
         return lifted_states(self._ring, self._basis, values, self.model.values())
 
     def certificate(self, cutoff: float | None = None, seed: int = 0) -> Certificate:
@@ -133,20 +142,34 @@ def derive(model: Model) -> Derived:
     """
     lowered = lower(model)
     closure, algebra = closed(lowered)
+    change = integrating(lowered) if closure.failures else None
+    if change is not None:
+        changed = lower(change.model(model))
+        other, sampled = closed(changed)
+        if len(other.failures) < len(closure.failures):
+            rates = program(lowered.graph, lowered.nodes["f"])
+            return _derived(model, changed, other, sampled, rates, change)
     if not closure.rows:
         raise refusal(lowered, closure.failures)
-    return _derived(lowered, closure, algebra)
+    rates = program(lowered.graph, lowered.nodes["f"])
+    return _derived(model, lowered, closure, algebra, rates, None)
 
 
-def _derived(lowered: Lowered, closure: Closure, algebra: Sampled) -> Derived:
-    model = lowered.model
+def _derived(
+    model: Model,
+    lowered: Lowered,
+    closure: Closure,
+    algebra: Sampled,
+    rates: Program,
+    change: Change | None,
+) -> Derived:
     parts = Parts(lowered, closure, algebra)
-    free = closure.structural or _holds_for_others(lowered, closure)
+    # A factor is a series of numbers, for the present values of the parameters.
+    free = change is None and (closure.structural or _holds_for_others(lowered, closure))
     relation, basis = relation_of(parts, free)
     steps = decoder(lowered.ring, basis)
     names = list(model.ranges)
     middle = tuple(0.5 * (low + high) for low, high in model.ranges.values())
-    rates = program(lowered.graph, lowered.nodes["f"])
     text = lowered.ring.text
     lifted = tuple(
         " + ".join(text(m) if c == 1 else f"{c:.4g} {text(m)}" for m, c in b.items())
@@ -164,7 +187,7 @@ def _derived(lowered: Lowered, closure: Closure, algebra: Sampled) -> Derived:
         closure.structural,
         _slowest(parts),
         tuple(reason(lowered, each) for each in closure.failures),
-        Coordinates(relation, steps, rates, middle),
+        Coordinates(relation, steps, rates, middle, change),
         lowered.ring,
         tuple(basis),
     )

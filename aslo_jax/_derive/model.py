@@ -132,7 +132,7 @@ class Model:
         named |= dict(zip(self.unknown, x[count:], strict=True))
         parameters = {name: named[name] for name in self.parameters}
         arguments = x[:count], y, u
-        return function(*arguments, parameters) if _wants(function) else function(*arguments)
+        return function(*arguments, parameters) if wants_parameters(function) else function(*arguments)
 
     def _count(self, name: str, found: Sequence[Any], count: int, what: str) -> None:
         if len(found) != count:
@@ -152,7 +152,7 @@ def entries(tree: Any) -> list[Array]:
     return [each for part in parts for each in jnp.ravel(jnp.asarray(part, float))]
 
 
-def _wants(function: Callable[..., Any]) -> bool:
+def wants_parameters(function: Callable[..., Any]) -> bool:
     """Whether a function takes parameters, as its fourth argument."""
     kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
     every = inspect.signature(function).parameters.values()

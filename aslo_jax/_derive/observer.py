@@ -15,6 +15,7 @@ from .._realise import Pass
 from .._relations import AbstractTerms, Row
 from .._typing import FilterStart, PyTree
 from ..observers import AbstractObserver, AlgebraicObserver, Asymptotic, Estimate
+from .changes import Change
 from .decoding import Decoder
 from .relation import DerivedRelation
 from .symbols import Program
@@ -23,23 +24,30 @@ from .symbols import Program
 class Coordinates(Module):
     """From the x of a `relation` to the states of the model, and how these change.
 
-    - `decoder`, `rates`: the code of both; `states`: the places of those that are found,
-      `middle` values of the others.
+    - `decoder`, `rates`: the code of both; `middle`: values of the states that are not found;
+    - `change`: the coordinates that the relation is in, where they are not the model's.
     """
 
     relation: DerivedRelation
     decoder: Decoder = eqx.field(static=True)
     rates: Program = eqx.field(static=True)
     middle: tuple[float, ...] = eqx.field(static=True)
+    change: Change | None = eqx.field(static=True, default=None)
 
     @property
     def parameters(self) -> tuple[Any, ...]:
         """The parameters of the model, in order."""
         return tuple(self.relation.parameters.values()) or self.relation.fixed
 
-    def states(self, X: Float[Array, "*batch n"]) -> Float[Array, "*batch k"]:
-        """The states that are found, from the x of the relation."""
-        return self.decoder(X, self.parameters)
+    def states(
+        self, X: Float[Array, "*batch n"], y: Float[Array, "*batch p"]
+    ) -> Float[Array, "*batch k"]:
+        """The states that are found, from the x of the relation and what is measured."""
+        found = self.decoder(X, self.parameters)
+        if self.change is None:
+            return found
+        factors = jnp.vectorize(self.change, signature="(p)->(n)")(y)
+        return found / factors[..., jnp.array(self.decoder.states)]
 
     def rate(
         self, x: Float[Array, " k"], u: Float[Array, " m"], y: Float[Array, " p"]
@@ -91,7 +99,7 @@ class StateObserver(AbstractObserver):
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
         found = self.observer(F.scope("lifted"), u, y)
-        states = self.coordinates.states(found.value)
+        states = self.coordinates.states(found.value, y)
         if self.guard is None:
             return Estimate(states, found.certificate, found.coasting)
         middle = [self.coordinates.middle[k] for k in self.coordinates.decoder.states]
