@@ -270,9 +270,7 @@ def battery() -> Case:
     def rate(t, s):
         return [-current(t) / Q, -s[1] / tau + current(t) / C]
 
-    return Case(
-        model, [0.3, 0.03], 2e-6, 1.0, 20.0, signals=signals, rate=rate, since=0.1
-    )
+    return Case(model, [0.3, 0.03], 2e-6, 1.0, 20.0, signals=signals, rate=rate, since=0.1)
 
 
 def two_tanks() -> Case:
@@ -493,8 +491,8 @@ def rigid_body() -> Case:
         lambda x, y, u: (u - jnp.cross(x, inertia * x)) / inertia,
         attitude,
         states={"w1": (-1, 1), "w2": (-1, 1), "w3": (-1, 1)},
-        outputs={name: (-1, 1) for name in ("q0", "q1", "q2", "q3")},
-        inputs={name: (-1, 1) for name in ("t1", "t2", "t3")},
+        outputs=dict.fromkeys(("q0", "q1", "q2", "q3"), (-1, 1)),
+        inputs=dict.fromkeys(("t1", "t2", "t3"), (-1, 1)),
     )
 
     def drive(t):

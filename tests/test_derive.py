@@ -111,7 +111,9 @@ def test_parameters_stay_parameters():
     u, y = jnp.array([1.0, 2.0]), jnp.array([0.3, -0.4])
 
     def drift(R):
-        other = dataclasses.replace(relation, parameters=relation.parameters | {"resistance": R})
+        other = dataclasses.replace(
+            relation, parameters=relation.parameters | {"resistance": R}
+        )
         return other(u, y).z
 
     np.testing.assert_allclose(drift(0.9), u - 0.9 * y, rtol=1e-14)

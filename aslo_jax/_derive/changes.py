@@ -19,9 +19,9 @@ from .lifted import Lowered
 from .model import Model, entries, wants_parameters
 from .polynomials import Points, Top
 
-DEGREE = 80  # the most of a factor's series
+DEGREE = 200  # the most of a factor's series
 TAIL = 1e-14  # of a series, what is left out
-MARGIN = 1.5  # ranges of an output, about their middle, for which a factor is known
+MARGIN = 1.25  # ranges of an output, about their middle, for which a factor is known
 SAME = 1e-9
 
 
@@ -145,10 +145,12 @@ def _field(
         points = Points(inputs, 0, True)
         values = np.stack([v[0] for v in points.of(graph, nodes)], axis=1)
         left, right = values[:, :n], values[:, n:].reshape(len(values), -1, n)
-        found = np.stack([
-            np.linalg.lstsq(a.T, -b, rcond=None)[0]
-            for a, b in zip(right, left, strict=True)
-        ])
+        found = np.stack(
+            [
+                np.linalg.lstsq(a.T, -b, rcond=None)[0]
+                for a, b in zip(right, left, strict=True)
+            ]
+        )
         rest = np.einsum("nji,nj->ni", right, found) + left
         size = np.abs(left).max(initial=1e-300)
         good = np.isfinite(found).all() and np.abs(rest).max() < SAME * size

@@ -78,9 +78,7 @@ class _Search:
         """The coefficients at every point, shape `(N, monomials)`."""
         count = self.algebra.points.size
         zero = np.zeros(count)
-        columns = [
-            np.broadcast_to(p[m][0], count) if m in p else zero for m in monomials
-        ]
+        columns = [np.broadcast_to(p[m][0], count) if m in p else zero for m in monomials]
         return np.stack(columns, axis=1)
 
     def constant(self, b: Constant) -> Polynomial:

@@ -173,7 +173,9 @@ class _Decoding:
             others = [m for m in rule.argument if m != (state,)]
             first = len(self.roots)
             self.roots += [rule.argument[(state,)], *(rule.argument[m] for m in others)]
-            arguments = [generator] if rule.function == "exp" else [generator, generator + 1]
+            arguments = (
+                [generator] if rule.function == "exp" else [generator, generator + 1]
+            )
             known = tuple((m, 1.0) for m in others)
             how = "logarithm" if rule.function == "exp" else "angle"
             if how == "angle":
@@ -181,9 +183,7 @@ class _Decoding:
                 period = "" if c is None else f" of {2 * math.pi / abs(float(c)):.4g}"
                 self.notes[state] = f"up to a period{period}"
             factors = tuple(((g,), 1.0) for g in arguments)
-            return self._add(
-                Step(state, how, 0, factors, known, (first, 1 + len(others)))
-            )
+            return self._add(Step(state, how, 0, factors, known, (first, 1 + len(others))))
         return False
 
 

@@ -212,7 +212,9 @@ def _holds_for_others(lowered: Lowered, closure: Closure) -> bool:
 def _slowest(parts: Parts) -> float:
     A = parts.state_matrix()
     fastest = float(np.max(-np.linalg.eigvals(A).real, initial=0.0)) if A.size else 0.0
-    return 2.0 * fastest if fastest > 1e-9 * max(np.abs(A).max(initial=0.0), 1e-300) else 0.0
+    return (
+        2.0 * fastest if fastest > 1e-9 * max(np.abs(A).max(initial=0.0), 1e-300) else 0.0
+    )
 
 
 def _kind(parts: Parts, relation: DerivedRelation) -> str:

@@ -40,9 +40,7 @@ class Lowered:
             points = self._points(seed, parameters, true)
             algebra = Sampled(self.graph, points)
             every = [p for p in (*self.rates, *(r for *_, r in self.rows))]
-            coefficients = {
-                c for p in every if not isinstance(p, Top) for c in p.values()
-            }
+            coefficients = {c for p in every if not isinstance(p, Top) for c in p.values()}
             algebra.look(sorted(coefficients))
             values = [algebra.of(c) for c in coefficients]
             good = np.ones(points.count, bool)
@@ -88,11 +86,12 @@ def lower(model: Model, measured: tuple[str, ...] = ()) -> Lowered:
     nodes["g"] = lowered(graph, rates, sizes)
     names = tuple(model.ranges)
     ring = Ring(graph, names, frozenset(names.index(name) for name in measured))
-    rows: Rows = [
-        ("rate", k, ring.of(n)) for k, n in zip(outputs, nodes["g"], strict=True)
-    ]
+    rows: Rows = [("rate", k, ring.of(n)) for k, n in zip(outputs, nodes["g"], strict=True)]
     rows += [("equation", k, ring.of(n)) for k, n in enumerate(nodes["h"])]
-    own = [("state", names.index(name), ring.of(nodes["f"][names.index(name)])) for name in measured]
+    own = [
+        ("state", names.index(name), ring.of(nodes["f"][names.index(name)]))
+        for name in measured
+    ]
     found = [ring.of(n) for n in nodes["f"]]
     return Lowered(model, graph, ring, found, [*rows, *own], nodes)
 

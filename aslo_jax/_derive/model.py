@@ -132,7 +132,11 @@ class Model:
         named |= dict(zip(self.unknown, x[count:], strict=True))
         parameters = {name: named[name] for name in self.parameters}
         arguments = x[:count], y, u
-        return function(*arguments, parameters) if wants_parameters(function) else function(*arguments)
+        return (
+            function(*arguments, parameters)
+            if wants_parameters(function)
+            else function(*arguments)
+        )
 
     def _count(self, name: str, found: Sequence[Any], count: int, what: str) -> None:
         if len(found) != count:

@@ -106,7 +106,11 @@ class StateObserver(AbstractObserver):
         initial = jnp.asarray(middle) if self.initial is None else self.initial
         motion = _Motion(states, None, self.coordinates, u, y)
         value, coasting = self.guard(
-            F.scope("guard"), states, found.certificate, motion, initial.astype(states.dtype)
+            F.scope("guard"),
+            states,
+            found.certificate,
+            motion,
+            initial.astype(states.dtype),
         )
         return Estimate(value, found.certificate, coasting)
 
@@ -123,8 +127,6 @@ def state_observer(
     """The observer of the states with a `filter`."""
     completion = LeastSquares() if completion is None else completion
     inner = None if gain is None else guard
-    observer = AlgebraicObserver(
-        coordinates.relation, filter, completion, inner, start
-    )
+    observer = AlgebraicObserver(coordinates.relation, filter, completion, inner, start)
     whole = observer if gain is None else Asymptotic(observer, gain)
     return StateObserver(whole, coordinates, guard, initial)

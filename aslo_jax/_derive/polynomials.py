@@ -135,9 +135,9 @@ class Points:
         found = at_points(graph.nodes, order, self.inputs, picked)
         shape = (2, self.count)
         return [
-            np.stack(
-                [np.broadcast_to(np.asarray(x, float), shape[1:]) for x in found[n]]
-            )[:, self.good]
+            np.stack([np.broadcast_to(np.asarray(x, float), shape[1:]) for x in found[n]])[
+                :, self.good
+            ]
             for n in nodes
         ]
 
@@ -283,9 +283,7 @@ class Ring:
     def _cleaned(self, p: Polynomial) -> Polynomial:
         return {m: c for m, c in p.items() if self.graph.value(c) != 0}
 
-    def _applied(
-        self, number: int, node: Any, args: list[Polynomial]
-    ) -> Polynomial | Top:
+    def _applied(self, number: int, node: Any, args: list[Polynomial]) -> Polynomial | Top:
         nodes = self.nodes
         minus = self.graph.const(-1.0, float)
         if node.op == "add":

@@ -48,7 +48,9 @@ def reason(lowered: Lowered, failure: Failure) -> str:
         of = " and ".join(touched) or "what is not measured"
         through = ""
         if failure.at is not None:
-            through = f", which is in the derivative of {ring.text(next(iter(failure.at)))},"
+            through = (
+                f", which is in the derivative of {ring.text(next(iter(failure.at)))},"
+            )
         return f"{row}: {place}{through} of {of} {failure.why}"
     grown = ", ".join(ring.text(m) for m in failure.growing[-SHOWN:])
     return f"{row} does not close: its derivatives bring in {grown}, and so on"
@@ -69,7 +71,9 @@ def pair(lowered: Lowered, failures: tuple[Failure, ...]) -> tuple[str, ...]:
             continue
         products: list[Monomial] = []
         sources = [lowered.rates[g] for g in sorted(involved)]
-        sources += [p for kind, k, p in lowered.rows if (kind, k) == (failure.kind, failure.index)]
+        sources += [
+            p for kind, k, p in lowered.rows if (kind, k) == (failure.kind, failure.index)
+        ]
         for p in sources:
             if not isinstance(p, Top):
                 products += [m for m in p if len(m) > 1]
@@ -110,6 +114,4 @@ def refusal(lowered: Lowered, failures: tuple[Failure, ...]) -> NotDerivable:
     if not failures:
         reasons = ("no rate of an output, and no equation, contains a state",)
     count = len(lowered.model.ranges)
-    return NotDerivable(
-        reasons, pair(lowered, failures), repairs(lowered.model, count)
-    )
+    return NotDerivable(reasons, pair(lowered, failures), repairs(lowered.model, count))

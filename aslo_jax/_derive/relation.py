@@ -10,7 +10,6 @@ from jaxtyping import Array, Float
 
 from .._module import Module
 from .._relations import AbstractTerms, Linear, Quadratic, Rate, Rows
-from .._typing import PyTree
 from .closure import CANCELLED, Closure, Constant
 from .lifted import Lowered
 from .polynomials import Monomial, Nodes, Sampled, Top, lie

@@ -378,9 +378,7 @@ def relative(
     return np.divide(np.abs(x), size, out=np.full(x.shape, np.inf), where=size > 0)
 
 
-def over_window(
-    steps: Float[np.ndarray, " n"], window: int
-) -> Float[np.ndarray, " N"]:
+def over_window(steps: Float[np.ndarray, " n"], window: int) -> Float[np.ndarray, " N"]:
     """The sum of the last steps at every row, of as many as there are up to `window`."""
     total = np.concatenate([[0.0], np.cumsum(steps)])
     rows = np.arange(total.size)

@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 from ..plants import AbstractMechanicalSystem
 from ._base import MachineError
 
-
 Loaded = TypeVar("Loaded")
 
 
@@ -37,7 +36,9 @@ def load(path: str, folder: Path, what: str, wanted: type[Loaded], hint: str) ->
         if callable(found) and not isinstance(found, wanted):
             found = _call(found, names, what)
     if not isinstance(found, wanted):
-        raise MachineError(f"{what} it must be {hint}, or return one, but it is {_a(found)}")
+        raise MachineError(
+            f"{what} it must be {hint}, or return one, but it is {_a(found)}"
+        )
     return found
 
 
