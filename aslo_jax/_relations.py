@@ -157,8 +157,8 @@ class Quadratic(AbstractTerms):
     """`1/2 x'Q x = c'x + d`, with `x' = z` and Q constant and symmetric.
 
     - `Q`, shape `(n, n)` or `()`; `c`, shape `(n,)`; `d`, shape `()`; `z`, shape `(n,)`;
-    - `A`, shape `(n, n)`, zero by default: with `x' = A x + z`, where `Q A + A'Q = 0`, as in
-      a frame that turns. For any other the quadratic term does not go: its products are
+    - `A`, shape `(n, n)`, zero by default: `x' = A x + z`, where `Q A + A'Q = 0`, as in a
+      frame that turns. For any other the quadratic term does not go: its products are
       states then ([`Rows`][]).
 
     The relation times F[1], less the filtered relation, has no quadratic term left:

@@ -48,7 +48,8 @@ class Certificate:
         word = "useless" if self.useless else "good" if self.noise < 0.1 else "sensitive"
         of = "the model's outputs" if self.simulated else "outputs as free as the inputs"
         return (
-            f"certificate {self.value:.2g} at a cutoff of {self.cutoff:.4g} rad/s, on {of}; "
+            f"certificate {self.value:.2g} at a cutoff of {self.cutoff:.4g} rad/s, on "
+            f"{of}; "
             f"0.1 % of noise moves an estimate by {100 * self.noise:.2g} %: {word}"
         )
 

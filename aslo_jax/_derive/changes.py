@@ -1,7 +1,7 @@
 """Changes of coordinates that remove products of states: integrating factors.
 
-Where every product in the rate of a state has that state as a factor, and the other one is a
-rate of what is measured, `x' = x F(y)'y' + ...` loses them in `mu x`, with `mu' = -mu F'y'`
+Where every product in the rate of a state has that state as a factor, and the other one is
+a rate of what is measured, `x' = x F(y)'y' + ...` loses them in `mu x`, with `mu' = -mu F'y'`
 (the integrating factors of the paper's Props 4 and 5).
 """
 

@@ -8,10 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._completions import AbstractCompletion
 from .._filters import AbstractFilter
-from .._guard import Guard
-from .._typing import FilterStart
 from .certificate import Certificate, certificate
 from .changes import Change, integrating
 from .closure import Closure, Constant
@@ -87,22 +84,18 @@ class Derived:
         self,
         filter: AbstractFilter,
         *,
-        completion: AbstractCompletion | None = None,
-        guard: Guard | None = Guard(),
-        start: FilterStart = "exact",
         gain: Float[Array, ""] | float | None = None,
         initial: Any = None,
+        **settings: Any,
     ) -> StateObserver:
         """The observer of the `states`.
 
-        - `filter`, `completion` (by default least squares), `guard`, `start`: as for
-          [`AlgebraicObserver`][];
+        - `filter`: that of the Swapping Lemma;
         - `gain` (rad/s): makes it an A-ASLO of the relation's x; by default none;
-        - `initial`: the states before the first certified instant, shape `(k,)`.
+        - `initial`: the states before the first certified instant, shape `(k,)`;
+        - `settings`: `completion`, `guard` and `start` of [`AlgebraicObserver`][].
         """
-        return state_observer(
-            self.coordinates, filter, completion, guard, start, gain, initial
-        )
+        return state_observer(self.coordinates, filter, gain, initial, **settings)
 
     def __str__(self) -> str:
         sure = "proved" if self.proved else "checked"

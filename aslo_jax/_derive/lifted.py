@@ -39,7 +39,7 @@ class Lowered:
         for true in (False, True):
             points = self._points(seed, parameters, true)
             algebra = Sampled(self.graph, points)
-            every = [p for p in (*self.rates, *(r for *_, r in self.rows))]
+            every = [*self.rates, *(r for *_, r in self.rows)]
             coefficients = {c for p in every if not isinstance(p, Top) for c in p.values()}
             algebra.look(sorted(coefficients))
             values = [algebra.of(c) for c in coefficients]

@@ -81,7 +81,7 @@ class Model:
 
     @property
     def known(self) -> dict[str, float]:
-        """The parameters that are known, by the alphabet, as JAX has those of a dictionary."""
+        """The parameters that are known, by the alphabet: as JAX has a dictionary."""
         every = sorted(self.parameters.items())
         return {k: float(v) for k, v in every if k not in self.unknown}
 

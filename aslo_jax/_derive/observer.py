@@ -7,13 +7,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import optional_real
-from .._completions import AbstractCompletion, LeastSquares
 from .._filters import AbstractFilter
 from .._guard import Guard
 from .._module import Module
 from .._realise import Pass
 from .._relations import AbstractTerms, Row
-from .._typing import FilterStart, PyTree
+from .._typing import PyTree
 from ..observers import AbstractObserver, AlgebraicObserver, Asymptotic, Estimate
 from .changes import Change
 from .decoding import Decoder
@@ -24,7 +23,7 @@ from .symbols import Program
 class Coordinates(Module):
     """From the x of a `relation` to the states of the model, and how these change.
 
-    - `decoder`, `rates`: the code of both; `middle`: values of the states that are not found;
+    - `decoder`, `rates`: the code of both; `middle`: values of states that are not found;
     - `change`: the coordinates that the relation is in, where they are not the model's.
     """
 
@@ -118,15 +117,14 @@ class StateObserver(AbstractObserver):
 def state_observer(
     coordinates: Coordinates,
     filter: AbstractFilter,
-    completion: AbstractCompletion | None,
-    guard: Guard | None,
-    start: FilterStart,
-    gain: Any,
+    gain: Float[Array, ""] | float | None,
     initial: Any,
+    **settings: Any,
 ) -> StateObserver:
     """The observer of the states with a `filter`."""
-    completion = LeastSquares() if completion is None else completion
+    guard = settings.pop("guard", Guard())
+    # The A-ASLO follows what is certified, the ASLO decodes all and is guarded then.
     inner = None if gain is None else guard
-    observer = AlgebraicObserver(coordinates.relation, filter, completion, inner, start)
+    observer = AlgebraicObserver(coordinates.relation, filter, guard=inner, **settings)
     whole = observer if gain is None else Asymptotic(observer, gain)
     return StateObserver(whole, coordinates, guard, initial)

@@ -21,7 +21,7 @@ Polynomial = dict[Monomial, Any]
 
 
 class Top(NamedTuple):
-    """What is no polynomial: the number of the node at which it stops being one, and why."""
+    """What is no polynomial: the number of the node where it stops being one, and why."""
 
     node: int
     why: str
@@ -107,7 +107,7 @@ class Sampled:
 
 
 class Points:
-    """Points at which coefficients are compared: values of the inputs by slot, shape `(N,)`.
+    """Points at which coefficients are compared: values of inputs by slot, shape `(N,)`.
 
     A branch is taken by lot at every point, so that one which no point would reach is seen
     as well; unless `true` to the conditions, or within an elimination, whose conditions
