@@ -88,16 +88,16 @@ def _fastest(model: Model) -> float:
     rng = np.random.default_rng(0)
 
     def points(ranges: Any) -> Float[np.ndarray, "N n"]:
-        drawn = [rng.uniform(*pair, 64) for pair in ranges.values()]
+        drawn = [rng.uniform(low, high, 64) for low, high in ranges.values()]
         return np.array(drawn).reshape(-1, 64).T
 
     groups = [points(g) for g in (model.ranges, model.outputs, model.inputs)]
     p = jnp.asarray(model.values())
     signals = tuple(map(jnp.asarray, groups))
-    rates = jax.vmap(lambda *s: model.measured_rates(*s, p))(*signals)
+    rates = jax.vmap(lambda x, y, u: model.measured_rates(x, y, u, p))(*signals)
     ranges = list(model.outputs.values())
     if not rates:
-        rates = dict(enumerate(jax.vmap(lambda *s: model.rates(*s, p))(*signals)))
+        rates = dict(enumerate(jax.vmap(lambda x, y, u: model.rates(x, y, u, p))(*signals)))
         ranges = list(model.ranges.values())
     spans = [high - low for low, high in ranges]
     return max(float(np.sqrt(np.mean(r**2))) / spans[k] for k, r in rates.items())

@@ -1,8 +1,8 @@
 """Changes of coordinates that remove products of states: integrating factors.
 
 Where every product in the rate of a state has that state as a factor, and the other one is
-a rate of what is measured, `x' = x F(y)'y' + ...` loses them in `mu x`, with `mu' = -mu F'y'`
-(the integrating factors of the paper's Props 4 and 5).
+a rate of what is measured, `x' = x F(y)'y' + ...` loses them in `mu x`, with
+`mu' = -mu F'y'` (the integrating factors of the paper's Props 4 and 5).
 """
 
 import dataclasses

@@ -97,7 +97,7 @@ class _Search:
 
     def close(self, row: Row) -> list[Constant] | Failure:
         """The basis of the space of one row."""
-        pool = [row.polynomial]
+        pool, pivots = [row.polynomial], []
         for _ in range(ROUNDS):
             basis, pivots = self.span(pool)
             if len(basis) > DIMENSION:

@@ -53,14 +53,14 @@ class Decoder:
         factors = self.arguments({"p": p})
 
         def total(terms: tuple[tuple[Monomial, float], ...]) -> Any:
-            found = 0.0
+            products = []
             for monomial, c in terms:
-                product = c if c != 1.0 or not monomial else None
+                product: Any = 1.0
                 for generator in monomial:
                     value = values[generator]
-                    product = value if product is None else product * value
-                found = found + product
-            return found
+                    product = value if isinstance(product, float) else product * value
+                products.append(product if c == 1.0 else c * product)
+            return sum(products[1:], start=products[0])
 
         for step in self.steps:
             if step.how in ("linear", "ratio", "root"):

@@ -51,7 +51,7 @@ class DerivedRelation(Module):
         dtype = jnp.result_type(float, u, y) if p == () else jnp.result_type(u, y, *p)
         n = self.size
 
-        def taken(*shape: int) -> Array:
+        def taken(*shape: int) -> Any:
             count = int(np.prod(shape, dtype=int))
             found = [jnp.asarray(next(left), dtype) for _ in range(count)]
             return jnp.stack(found).reshape(shape) if shape else found[0]
@@ -62,7 +62,7 @@ class DerivedRelation(Module):
             round_ = next(left)
             Q = taken() if round_ else taken(n, n)
             return Quadratic(Q, taken(n), taken(), z, A)
-        s = [y[k] for k in self.rates]
+        s: list[Any] = [y[k] for k in self.rates]
         if self.kind == "rows":
             m = int(next(left))
             C, d, weights = taken(m, n), taken(m), [next(left) for _ in s]

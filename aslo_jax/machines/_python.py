@@ -39,7 +39,7 @@ def load(path: str, folder: Path, what: str, wanted: type[Loaded], hint: str) ->
         raise MachineError(
             f"{what} it must be {hint}, or return one, but it is {_a(found)}"
         )
-    return found
+    return found  # pyright: ignore[reportReturnType]
 
 
 @contextmanager
