@@ -61,19 +61,20 @@ class DerivedRelation(Module):
         if self.kind == "quadratic":
             round_ = next(left)
             Q = taken() if round_ else taken(n, n)
-            return Quadratic(Q, taken(n), taken(), z, A)
+            return Quadratic(Q=Q, c=taken(n), d=taken(), z=z, A=A)
         s: list[Any] = [y[k] for k in self.rates]
         if self.kind == "rows":
             m = int(next(left))
             C, d, weights = taken(m, n), taken(m), [next(left) for _ in s]
             weighted = [x if w == 1.0 else w * x for x, w in zip(s, weights, strict=True)]
             s_ = jnp.stack(weighted) if s else jnp.zeros(0, dtype)
-            return Rows(C, d, s_, z, A, self.constant)
+            return Rows(C=C, d=d, s=s_, z=z, A=A, constant=self.constant)
         c, d = taken(n), next(left)
         if self.kind == "linear":
-            return Linear(c, jnp.asarray(d, dtype), z, A)
+            return Linear(c=c, d=jnp.asarray(d, dtype), z=z, A=A)
         drift = None if isinstance(d, float) and d == 0 else jnp.asarray(d, dtype)
-        return Rate(c, s[0], z, drift, A, self.constant, honest=A is not None)
+        honest = A is not None
+        return Rate(c=c, s=s[0], z=z, d=drift, A=A, constant=self.constant, honest=honest)
 
 
 class Parts:

@@ -16,10 +16,12 @@ from .evaluation import NUMPY, bound
 
 # Elementwise primitives that are kept: functions with derivatives and addition theorems of
 # their own, which an engine writes as polynomials and shifts of bits.
-KEPT = frozenset(
-    "sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh exp exp2 expm1 log "
-    "log1p logistic erf erfc erf_inv cbrt rsqrt sign max min rem lgamma digamma".split()
-)
+KEPT = {
+    *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"),
+    *("asinh", "acosh", "atanh", "exp", "exp2", "expm1", "log", "log1p", "logistic"),
+    *("erf", "erfc", "erf_inv", "cbrt", "rsqrt", "sign", "max", "min", "rem"),
+    *("lgamma", "digamma"),
+}
 # Whose pivots are chosen by comparisons that belong together.
 ELIMINATIONS = ("lu", "lu_pivots_to_permutation", "custom_linear_solve")
 
