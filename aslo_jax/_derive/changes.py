@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.polynomial import chebyshev
 
+from .dictionary import Matrix
 from .lifted import Lowered
 from .model import Model, entries, wants_parameters
 from .polynomials import Points, Top
@@ -61,27 +62,39 @@ class Change:
         one = jnp.ones((), y.dtype)
         return jnp.stack([one if f is None else f(y) for f in self.factors])
 
-    def model(self, model: Model) -> Model:
-        """The model in the new coordinates."""
-        n = len(model.states)
+    def into(self, x: Float[Array, " n"], y: Float[Array, " p"]) -> Float[Array, " n"]:
+        """The new coordinates of states `x`."""
+        return x * self(y)
 
-        def old(x: Array, y: Array) -> Array:
-            return x / self(y)[:n]
+    def back(self, x: Float[Array, " n"], y: Float[Array, " p"]) -> Float[Array, " n"]:
+        """The states of new coordinates `x`."""
+        return x / self(y)
 
-        def f(x: Array, y: Array, u: Array, p: Any) -> Array:
-            before = old(x, y)
-            rates = jnp.stack(entries(_called(model.f, before, y, u, p)))
-            speeds = jnp.stack(entries(_called(model.g, before, y, u, p)))
-            factor, slope = jax.jvp(lambda y: self(y)[:n], (y,), (speeds,))
-            return factor * rates + slope * before
 
-        def g(x: Array, y: Array, u: Array, p: Any) -> Any:
-            return _called(model.g, old(x, y), y, u, p)
+def changed(model: Model, change: "Change | Matrix") -> Model:
+    """The model in the new coordinates."""
+    n, unknown = len(model.states), jnp.zeros(len(model.unknown))
 
-        def h(x: Array, y: Array, u: Array, p: Any) -> Any:
-            return _called(model.h, old(x, y), y, u, p)
+    def back(x: Array, y: Array) -> Array:
+        return change.back(jnp.concatenate([x, unknown]), y)[:n]
 
-        return dataclasses.replace(model, f=f, g=g, h=None if model.h is None else h)
+    def into(x: Array, y: Array) -> Array:
+        return change.into(jnp.concatenate([x, unknown]), y)[:n]
+
+    def f(x: Array, y: Array, u: Array, p: Any) -> Array:
+        before = back(x, y)
+        rates = jnp.stack(entries(_called(model.f, before, y, u, p)))
+        speeds = jnp.stack(entries(_called(model.g, before, y, u, p)))
+        _, slope = jax.jvp(lambda y: into(before, y), (y,), (speeds,))
+        return into(rates, y) + slope
+
+    def g(x: Array, y: Array, u: Array, p: Any) -> Any:
+        return _called(model.g, back(x, y), y, u, p)
+
+    def h(x: Array, y: Array, u: Array, p: Any) -> Any:
+        return _called(model.h, back(x, y), y, u, p)
+
+    return dataclasses.replace(model, f=f, g=g, h=None if model.h is None else h)
 
 
 def _called(function: Any, x: Any, y: Any, u: Any, p: Any) -> Any:

@@ -10,9 +10,10 @@ from jaxtyping import Array, Float
 
 from .._filters import AbstractFilter
 from .certificate import Certificate, certificate
-from .changes import Change, integrating
+from .changes import Change, changed, integrating
 from .closure import Closure, Constant
 from .decoding import decoder, lifted_states
+from .dictionary import Matrix, covectors
 from .lifted import Lowered, closed, lower
 from .model import Model
 from .observer import Coordinates, StateObserver, state_observer
@@ -29,7 +30,8 @@ class Derived:
     """A relation that was derived from a model.
 
     - `model`: the model; `relation`: for [`AlgebraicObserver`][] and what takes relations;
-    - `lifted`: what the entries of the relation's x are, in words; `states`: the states of
+    - `lifted`: what the entries of the relation's x are, in words, `v~` being a state v in
+      coordinates that depend on what is measured; `states`: the states of
       the model that are found from it, `undetermined` those that are not; `notes` on what
       is left open of a state, by its name;
     - `kind`: that of the relation, in words; `proved`: whether it holds by the form of the
@@ -68,7 +70,7 @@ class Derived:
         n)`, unknown parameters the last ones, and the outputs, `y` of shape `(N, p)`."""
         values, change = np.asarray(x, float), self.coordinates.change
         if change is not None:
-            values = values * np.asarray(jax.vmap(change)(jnp.asarray(y)))
+            values = np.asarray(jax.vmap(change.into)(jnp.asarray(values), jnp.asarray(y)))
         return lifted_states(self._ring, self._basis, values, self.model.values())
 
     def certificate(self, cutoff: float | None = None, seed: int = 0) -> Certificate:
@@ -135,13 +137,21 @@ def derive(model: Model) -> Derived:
     """
     lowered = lower(model)
     closure, algebra = closed(lowered)
-    change = integrating(lowered) if closure.failures else None
-    if change is not None:
-        changed = lower(change.model(model))
-        other, sampled = closed(changed)
-        if len(other.failures) < len(closure.failures):
+    for find in (integrating, covectors) if closure.failures else ():
+        change = find(lowered)
+        if change is None:
+            continue
+        other = lower(changed(model, change))
+        for k, name in enumerate(model.states):
+            if isinstance(change, Matrix) or change.factors[k] is not None:
+                other.ring.names[k] = f"{name}~"
+        found, sampled = closed(other)
+        if len(found.failures) < len(closure.failures):
             rates = program(lowered.graph, lowered.nodes["f"])
-            return _derived(model, changed, other, sampled, rates, change)
+            derived = _derived(model, other, found, sampled, rates, change)
+            if isinstance(change, Matrix) and derived.undetermined:
+                continue  # a state takes all of them
+            return derived
     if not closure.rows:
         raise refusal(lowered, closure.failures)
     rates = program(lowered.graph, lowered.nodes["f"])
@@ -154,7 +164,7 @@ def _derived(
     closure: Closure,
     algebra: Sampled,
     rates: Program,
-    change: Change | None,
+    change: Change | Matrix | None,
 ) -> Derived:
     parts = Parts(lowered, closure, algebra)
     # A factor is a series of numbers, for the present values of the parameters.

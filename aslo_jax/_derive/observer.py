@@ -16,6 +16,7 @@ from .._typing import PyTree
 from ..observers import AbstractObserver, AlgebraicObserver, Asymptotic, Estimate
 from .changes import Change
 from .decoding import Decoder
+from .dictionary import Matrix
 from .relation import DerivedRelation
 from .symbols import Program
 
@@ -31,7 +32,7 @@ class Coordinates(Module):
     decoder: Decoder = eqx.field(static=True)
     rates: Program = eqx.field(static=True)
     middle: tuple[float, ...] = eqx.field(static=True)
-    change: Change | None = eqx.field(static=True, default=None)
+    change: Change | Matrix | None = eqx.field(static=True, default=None)
 
     @property
     def parameters(self) -> tuple[Any, ...]:
@@ -45,8 +46,10 @@ class Coordinates(Module):
         found = self.decoder(X, self.parameters)
         if self.change is None:
             return found
-        factors = jnp.vectorize(self.change, signature="(p)->(n)")(y)
-        return found / factors[..., jnp.array(self.decoder.states)]
+        places = jnp.array(self.decoder.states)
+        full = jnp.zeros((*found.shape[:-1], len(self.middle)), found.dtype)
+        back = jnp.vectorize(self.change.back, signature="(n),(p)->(n)")
+        return back(full.at[..., places].set(found), y)[..., places]
 
     def rate(
         self, x: Float[Array, " k"], u: Float[Array, " m"], y: Float[Array, " p"]
