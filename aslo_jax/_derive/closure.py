@@ -75,8 +75,9 @@ class _Search:
         return kept
 
     def values(self, p: Polynomial, monomials: Sequence[Monomial]) -> np.ndarray:
-        """The coefficients at every point, shape `(N, monomials)`."""
-        count = self.algebra.points.size
+        """The coefficients at every point, shape `(N, monomials)`: at one, where all are
+        constants."""
+        count = max((c.shape[1] for c in p.values()), default=1)
         zero = np.zeros(count)
         columns = [np.broadcast_to(p[m][0], count) if m in p else zero for m in monomials]
         return np.stack(columns, axis=1)
@@ -127,8 +128,12 @@ def echelon(M: np.ndarray) -> tuple[np.ndarray, list[int]]:
     size[size == 0] = 1.0
     W = M / size
     W = W / np.linalg.norm(W, axis=1, keepdims=True)
+    # Of a tall matrix the triangular factor has the same rows.
+    tall = len(W) > 2 * W.shape[1]
+    least = INDEPENDENT * np.sqrt(len(W))
+    W = np.linalg.qr(W, mode="r") if tall else W
     _, singular, V = np.linalg.svd(W, full_matrices=False)
-    V = V[singular > INDEPENDENT * singular[0] * np.sqrt(len(W))]
+    V = V[singular > least * singular[0]]
     V, places = _reduced(V)
     return V * size / size[places][:, None], places
 

@@ -109,10 +109,14 @@ def covectors(lowered: Lowered) -> Matrix | None:
     y = np.stack(
         [points.inputs["y", j][points.good] for j in range(len(model.outputs))], axis=1
     )
-    phi = lambda y: jnp.stack(_products(code, every, p, y))
-    values = np.asarray(jax.vmap(phi)(jnp.asarray(y)))
+    single = lambda y: jnp.stack([jnp.asarray(v, y.dtype) for v in code({"y": y, "p": p})])
+    both = jax.jit(jax.vmap(lambda y: (single(y), jax.jacfwd(single)(y))))
+    of, slope = map(np.asarray, both(jnp.asarray(y)))
+    left, right = (list(side) for side in zip(*every, strict=True))
+    values = of[:, left] * of[:, right]
+    slopes = of[:, left, None] * slope[:, right] + slope[:, left] * of[:, right, None]
     _, kept = echelon(values)  # of functions that depend on each other, one
-    slopes = np.asarray(jax.vmap(jax.jacfwd(phi))(jnp.asarray(y)))[:, kept]
+    slopes = slopes[:, kept]
     null = _null(lowered, algebra, values[:, kept], slopes)
     picked = _independent(null.reshape(len(null), n, len(kept)), values[:, kept])
     if picked is None:
