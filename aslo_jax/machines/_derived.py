@@ -51,9 +51,11 @@ EXAMPLE = Layout(
 
 
 def load_model(path: str, folder: Path) -> Model:
-    """The model of an import path `"module:attribute"`, whose module may lie in `folder`.
+    """The model of an import `path`, `"module:attribute"`, whose module may lie in
+    `folder`.
 
-    **Raises:** [`MachineError`][]."""
+    **Raises:** [`MachineError`][].
+    """
     return load(path, folder, f"`machine.model`, {path}:", Model, "an `aslo_jax.Model`")
 
 
