@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import aslo_jax as aslo
+from aslo_jax._derive.plant import ModelPlant
 from aslo_jax.cli import main
 from aslo_jax.logs import write_table
-from aslo_jax._derive.plant import ModelPlant
 from aslo_jax.machines import KINDS, MachineError, read_machine, template
 from aslo_jax.plants import (
     WRIM,
