@@ -252,7 +252,7 @@ __getattr__, __dir__ = _lazily(
             "Quadratic",
             "Rate",
             "Row",
-    "Rows",
+            "Rows",
             "Rows",
             "swap",
         ),
