@@ -55,7 +55,7 @@ def test_several_rows_hold(terms, name, swaps):
     "completion",
     [
         aslo.Repeat(),
-        aslo.FilterBank([aslo.LowPass(7.0)]),
+        aslo.FilterBank([aslo.LowPass(7.0), aslo.LowPass(11.0)]),
         aslo.LeastSquares(aslo.LowPass(9.0)),
     ],
     ids=["repeat", "bank", "least-squares"],
