@@ -1,4 +1,5 @@
-"""Completions: from one row `r'x = b` to an estimate of all n entries of x."""
+"""Completions: from one row `r'x = b`, or from several, to an estimate of all n entries of
+x."""
 
 import abc
 from typing import Any
@@ -20,7 +21,7 @@ __all__ = ["AbstractCompletion", "FilterBank", "LeastSquares", "Repeat"]
 
 
 class AbstractCompletion(Module):
-    """Completes a row to n independent ones and solves them.
+    """Completes a row, or a batch of them, to n independent ones and solves them.
 
     Called with a pass and a row, it returns
 
@@ -71,10 +72,12 @@ class FilterBank(AbstractCompletion):
     filters: tuple[AbstractFilter, ...] = eqx.field(converter=_several)
 
     def __call__(self, F: Pass, row: Row) -> tuple[RealArray, RealArray]:
-        n = row.r.shape[-1]
-        if len(self.filters) < n - 1:
+        n, given = row.r.shape[-1], 1 if row.r.ndim == 1 else row.r.shape[0]
+        if given * (1 + len(self.filters)) < n:
+            least = -(-n // given) - 1
+            what = "n - 1" if given == 1 else f"n/{given} - 1"
             raise ValueError(
-                f"Argument `filters` must hold at least n - 1 = {n - 1} filters for a "
+                f"Argument `filters` must hold at least {what} = {least} filters for a "
                 f"state of {n} entries, but got {len(self.filters)}."
             )
         bank = enumerate(self.filters, start=1)
@@ -106,7 +109,11 @@ class LeastSquares(AbstractCompletion):
             )
         F = F.using(forgetting)
         r, b, z, A = row.r, row.b, row.z, row.A
-        rr, rb = F.inject(r[:, None] * r), F.inject(r * b)
+        if r.ndim == 1:
+            rr, rb = F.inject(r[:, None] * r), F.inject(r * b)
+        else:
+            rr = F.inject(jnp.sum(r[:, :, None] * r[:, None, :], axis=0))
+            rb = F.inject(jnp.sum(r * b[:, None], axis=0))
         if A is None:
             M = F.hidden(rr, "M")
             v = F.hidden(rb + contract(M, z), "v")
@@ -125,12 +132,14 @@ class LeastSquares(AbstractCompletion):
             Mz = contract(M, z)
             v = F.hidden(lambda v: rb + Mz - A.T @ v, "v", jnp.zeros_like(rb))
             M, v, scale = F.output(M), F.output(v), row.scale**2
+        if row.honest:
+            scale = jnp.maximum(scale, jnp.diagonal(M))
         return solve_definite(M, v, scale)
 
 
 def _solve(rows: list[Row]) -> tuple[Float[Array, " n"], Float[Array, ""]]:
-    R = jnp.stack([row.r for row in rows])
-    b = jnp.stack([row.b for row in rows])
+    join = jnp.stack if rows[0].r.ndim == 1 else jnp.concatenate
+    R, b = join([row.r for row in rows]), join([row.b for row in rows])
     unit = safe_reciprocal(jnp.max(jnp.abs(R), axis=0) + rows[0].scale)
     x, certificate = solve_rows(R * unit, b)
     return x * unit, certificate

@@ -1,7 +1,8 @@
 """Relations between the unmeasured state and measured signals, and their rows.
 
 A relation is any callable `relation(u, y)` that returns the terms of one equation in the
-unmeasured `x` at an instant: [`Linear`][], [`Rate`][] or [`Quadratic`][]. `x` has a known
+unmeasured `x` at an instant: [`Linear`][], [`Rate`][] or [`Quadratic`][], or of several
+at once, [`Rows`][]. `x` has a known
 derivative `x' = A x + z` (`A` mostly absent). The Swapping Lemma turns the terms into a
 [`Row`][], `r'x = b` with r and b measured, and a row into further rows.
 """
@@ -26,6 +27,7 @@ __all__ = [
     "Quadratic",
     "Rate",
     "Row",
+    "Rows",
     "contract",
     "filtered_rows",
     "settled",
@@ -41,7 +43,10 @@ class Row(Module):
       `None` for zero;
     - `scale`, shape `(n,)`: what `r` is measured against, entry by entry; a small `r`
       beside it is rounding and noise;
-    - `constant`: whether `r` is a constant once its filters have settled.
+    - `constant`: whether `r` is a constant once its filters have settled;
+    - `honest`: whether the least squares take what they hold for `scale` where that is
+      more, so that no certificate is above one: where A varies, `scale` need not be what r
+      settles at.
     """
 
     r: Float[Array, "*rows n"]
@@ -54,6 +59,7 @@ class Row(Module):
     # Whether r is a constant once its filters have settled, which is how the paper's
     # start takes it.
     constant: bool = eqx.field(static=True, default=False)
+    honest: bool = eqx.field(static=True, default=False)
 
 
 class AbstractTerms(Module):
@@ -79,7 +85,7 @@ class AbstractTerms(Module):
                 f"{_name(relation)} gives {beside}; check the shapes of `u` and `y`."
             )
         n = beside[0]
-        for name, shape in (("c", (n,)), ("d", ()), ("s", ()), ("A", (n, n))):
+        for name, shape in self.shapes(n).items():
             term = getattr(self, name, None)
             if term is not None and jnp.shape(term) != shape:
                 raise ValueError(
@@ -87,6 +93,10 @@ class AbstractTerms(Module):
                     f"`z` of shape {(n,)}, but {_name(relation)} gives {jnp.shape(term)}; "
                     "check the shapes of `u` and `y`."
                 )
+
+    def shapes(self, n: int) -> dict[str, tuple[int, ...]]:
+        """The shapes that terms must have beside a `z` of n entries."""
+        return {"c": (n,), "d": (), "s": (), "A": (n, n)}
 
     def drift(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
         """The known derivative `A x + z` at `x` (units of x per second)."""
@@ -118,7 +128,8 @@ class Rate(AbstractTerms):
 
     `b = F[d] + pF[s] + (swapping term)`, `r = F[c]` (theory, section 2; Prop. 1 with
     c = 1, s = y, z = u). `constant=True` declares that c and A do not vary, so that the
-    paper's start takes F[c] as settled.
+    paper's start takes F[c] as settled. `honest=True` keeps the certificate of least
+    squares with an A at one at most, as [`Row`][] says.
     """
 
     c: Float[Array, " n"]
@@ -127,6 +138,7 @@ class Rate(AbstractTerms):
     d: Float[Array, ""] | None = None
     A: Float[Array, "n n"] | None = None
     constant: bool = eqx.field(static=True, default=False)
+    honest: bool = eqx.field(static=True, default=False)
 
     def row(self, F: Pass) -> Row:
         X = filtered_rows(F, self.c, self.A, self.constant, "r")
@@ -138,13 +150,16 @@ class Rate(AbstractTerms):
         settled = F.exact or not self.constant
         b = F.p(self.s, "s", settled=settled) + F.output(F.hidden(drive, "b"))
         scale = _size(F, self.c, self.A, self.constant)
-        return Row(F.output(X), b, self.z, self.A, scale, self.constant)
+        return Row(F.output(X), b, self.z, self.A, scale, self.constant, self.honest)
 
 
 class Quadratic(AbstractTerms):
     """`1/2 x'Q x = c'x + d`, with `x' = z` and Q constant and symmetric.
 
-    - `Q`, shape `(n, n)` or `()`; `c`, shape `(n,)`; `d`, shape `()`; `z`, shape `(n,)`.
+    - `Q`, shape `(n, n)` or `()`; `c`, shape `(n,)`; `d`, shape `()`; `z`, shape `(n,)`;
+    - `A`, shape `(n, n)`, zero by default: `x' = A x + z`, where `Q A + A'Q = 0`, as in a
+      frame that turns. For any other the quadratic term does not go: its products are
+      states then ([`Rows`][]).
 
     The relation times F[1], less the filtered relation, has no quadratic term left:
     `r = C K - (C H) c`, `b = (C H) d + C W` with `H' = A H + B`,
@@ -157,7 +172,7 @@ class Quadratic(AbstractTerms):
     c: Float[Array, " n"]
     d: Float[Array, ""]
     z: Float[Array, " n"]
-    A: Float[Array, "n n"] | None = eqx.field(default=None, init=False)
+    A: Float[Array, "n n"] | None = None
 
     def times(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
         """`Q x`."""
@@ -166,12 +181,59 @@ class Quadratic(AbstractTerms):
     def row(self, F: Pass) -> Row:
         H = F.settling("one")
         Qz = self.times(self.z)
-        K = F.hidden(F.inject(self.c) + jnp.multiply.outer(H, Qz), "r")
+        injected = F.inject(self.c) + jnp.multiply.outer(H, Qz)
+        if self.A is None:
+            K = F.hidden(injected, "r")
+        else:
+            K = F.hidden(lambda K: injected - K @ self.A, "r", jnp.zeros_like(injected))
         W = F.hidden(contract(K, self.z) - F.inject(self.d), "b")
         one, k = F.output(H), F.output(K)
         r = k - one * self.c
         b = one * self.d + F.output(W)
-        return Row(r, b, self.z, None, jnp.abs(k) + jnp.abs(one * self.c))
+        return Row(r, b, self.z, self.A, jnp.abs(k) + jnp.abs(one * self.c))
+
+
+class Rows(AbstractTerms):
+    """Several equations at once, `C x = d + s'` with `x' = A x + z`, the last of which may
+    have no s: `C x = d`. All are filtered, since a C or d with the input in it may jump.
+
+    - `C`, shape `(m, n)`; `d`, shape `(m,)`; `s`, shape `(k,)` with k at most m; `z`, shape
+      `(n,)`; `A`, shape `(n, n)`, zero by default. Rows times a weight are rows: with least
+      squares choose it as one over the noise of the row;
+    - `constant`: whether C and A are constants.
+
+    Source: theory, section 2, state-affine.
+    """
+
+    C: Float[Array, "m n"]
+    d: Float[Array, " m"]
+    s: Float[Array, " k"]
+    z: Float[Array, " n"]
+    A: Float[Array, "n n"] | None = None
+    constant: bool = eqx.field(static=True, default=False)
+
+    def shapes(self, n: int) -> dict[str, tuple[int, ...]]:
+        m, k = jnp.shape(self.d)[0], jnp.shape(self.s)[0]
+        return {"C": (m, n), "s": (min(k, m),), "A": (n, n)}
+
+    def row(self, F: Pass) -> Row:
+        X = filtered_rows(F, self.C, self.A, self.constant, "r")
+        b = F.output(F.hidden(contract(X, self.z) + F.inject(self.d), "b"))
+        k = self.s.shape[0]
+        if k:
+            settled = F.exact or not self.constant
+            rates = F.p(self.s, "s", settled=settled)
+            b = b + rates if k == b.shape[0] else jnp.concatenate([b[:k] + rates, b[k:]])
+        return Row(F.output(X), b, self.z, self.A, self._scale(F), self.constant, True)
+
+    def _scale(self, F: Pass) -> Float[Array, " n"]:
+        """What the entries of all rows settle at, together: with the A of the start, since
+        with one that varies they do not settle."""
+        if self.A is None:
+            return jnp.sqrt(jnp.sum(self.C**2, axis=0))
+        stacked = _size(F, self.C, self.A)
+        size = jnp.sqrt(jnp.sum(stacked**2, axis=0))
+        return F.state("scale", size, jnp.zeros_like(size))
 
 
 def terms_of(relation: Callable[..., AbstractTerms], u: PyTree, y: PyTree) -> AbstractTerms:
@@ -214,7 +276,10 @@ def filtered_rows(
 
 
 def _size(
-    F: Pass, c: Float[Array, " n"], A: Float[Array, "n n"] | None, constant: bool = False
+    F: Pass,
+    c: Float[Array, "*rows n"],
+    A: Float[Array, "n n"] | None,
+    constant: bool = False,
 ) -> Array:
     """What the entries of a filtered row settle at; A spreads c over all of them."""
     if A is None:
@@ -250,4 +315,4 @@ def swap(F: Pass, row: Row) -> Row:
     E = F.hidden(contract(X, row.z) + F.inject(row.b), "b")
     r = F.output(X) + F.filter.feedthrough(row.r)
     b = F.output(E) + F.filter.feedthrough(row.b)
-    return Row(r, b, row.z, row.A, row.scale, row.constant)
+    return Row(r, b, row.z, row.A, row.scale, row.constant, row.honest)

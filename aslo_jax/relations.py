@@ -6,6 +6,7 @@ from ._relations import (
     Quadratic as Quadratic,
     Rate as Rate,
     Row as Row,
+    Rows as Rows,
     swap as swap,
 )
 
@@ -15,5 +16,6 @@ __all__ = [
     "Quadratic",
     "Rate",
     "Row",
+    "Rows",
     "swap",
 ]

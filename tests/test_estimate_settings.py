@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import aslo_jax as aslo
+from aslo_jax._derive.plant import ModelPlant
 from aslo_jax.cli import main
 from aslo_jax.logs import write_table
 from aslo_jax.machines import KINDS, MachineError, read_machine, template
@@ -36,7 +37,26 @@ PRESETS = {
     "ball_beam": lambda: BallBeam(1.2, 9.81),
     "drive": lambda: Drive(400.0, 20e3),
     "mechanical": lambda: VariableLengthPendulum(1.3),
+    "derived": lambda: ModelPlant(
+        aslo.Model(
+            lambda x, y, u: [-x[0]],
+            lambda x, y, u: [x[0]],
+            states={"speed": (-1.0, 1.0)},
+            outputs={"position": (-1.0, 1.0)},
+        )
+    ),
 }
+MOTOR = """\
+import aslo_jax as aslo
+
+model = aslo.Model(
+    lambda x, y, u: [u[0] - x[0]],
+    lambda x, y, u: [x[0] - y[0]],
+    states={"speed": (-1, 1)},
+    outputs={"current": (-1, 1)},
+    inputs={"voltage": (-1, 1)},
+)
+"""
 ROBOT = """\
 from aslo_jax.plants import VariableLengthPendulum
 
@@ -101,10 +121,11 @@ def test_the_template_of_a_kind_is_the_preset_of_its_plant(capsys, tmp_path, kin
     assert code == 0
     (tmp_path / "machine.toml").write_text(printed)
     (tmp_path / "robot.py").write_text(ROBOT)
+    (tmp_path / "motor.py").write_text(MOTOR)
     plant, preset = read_machine(tmp_path / "machine.toml").plant(), PRESETS[kind]()
     assert type(plant) is type(preset)
     for name, value in vars(preset).items():
-        if value is not None and not callable(value):
+        if value is not None and not callable(value) and name != "model":
             np.testing.assert_allclose(getattr(plant, name), value, rtol=1e-12)
     # Every key of [observer], its comment sign taken away, is a valid one.
     lines = [line.removeprefix("# ") for line in printed.splitlines()[1:]]
@@ -147,8 +168,9 @@ def test_every_machine_in_the_documentation_is_read(tmp_path):
     page = (Path(__file__).parents[1] / "docs" / "machine-descriptions.md").read_text()
     found = re.findall(r"^```toml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     blocks = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
-    (robot,) = (text for text in blocks if "arm = " in text)
-    (tmp_path / "robot.py").write_text(robot)
+    for name, mark in (("robot", "arm = "), ("motor", "model = aslo.Model(")):
+        (text,) = (text for text in blocks if mark in text)
+        (tmp_path / f"{name}.py").write_text(text)
     kinds = []
     for text in found:
         (tmp_path / "machine.toml").write_text(text)
@@ -249,7 +271,7 @@ FAULTS = {
         ('"wrim"', '"steper"'),
         '`machine.kind`, the kind of machine, must be one of "pmsm", "stepper", '
         '"interior_pmsm", "wrim", "magnetic_bearing", "robotic_leg", "ball_beam", '
-        '"drive", "mechanical", but is \'steper\'; did you mean `stepper`?',
+        '"drive", "mechanical", "derived", but is \'steper\'; did you mean `stepper`?',
     ),
 }
 

@@ -11,6 +11,7 @@ except ModuleNotFoundError as error:
     raise missing("typer", "cli") from error
 
 from ._calibrate import calibrate
+from ._derive import derive
 from ._estimate import Explained, estimate
 from ._export import export
 from ._paper import paper
@@ -49,6 +50,7 @@ app.command(cls=Explained)(estimate)
 app.command()(calibrate)
 app.command()(tune)
 app.command()(export)
+app.command()(derive)
 app.command()(sample)
 app.command()(paper)
 app.command(help=STUDY_HELP)(study)

@@ -2,7 +2,7 @@
 
 [machine]
 kind = "pmsm"           # or "stepper", "interior_pmsm", "wrim", "magnetic_bearing",
-                        # "robotic_leg", "ball_beam", "drive", "mechanical"
+                        # "robotic_leg", "ball_beam", "drive", "mechanical", "derived"
 resistance = 8.875      # ohm
 inductance = 40.03e-3   # H
 magnet_flux = 0.2086    # Wb
@@ -27,6 +27,7 @@ from ._base import (
     Rate as Rate,
     Unknowns as Unknowns,
 )
+from ._derived import DerivedDescription as DerivedDescription, load_model as load_model
 from ._drive import DriveDescription as DriveDescription
 from ._file import read_machine as read_machine, template as template
 from ._frequency import (
@@ -48,6 +49,7 @@ __all__ = [
     "KINDS",
     "AbstractDescription",
     "BallBeamDescription",
+    "DerivedDescription",
     "DriveDescription",
     "InteriorPMSMDescription",
     "Layout",
@@ -63,6 +65,7 @@ __all__ = [
     "cutoff_for",
     "cutoff_for_positions",
     "electrical_speed",
+    "load_model",
     "read_machine",
     "template",
     "typical_frequency",

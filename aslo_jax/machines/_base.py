@@ -373,3 +373,10 @@ def relative(
 ) -> Float[np.ndarray, " N"]:
     """`|x| / size`, infinite where `size` is zero."""
     return np.divide(np.abs(x), size, out=np.full(x.shape, np.inf), where=size > 0)
+
+
+def over_window(steps: Float[np.ndarray, " n"], window: int) -> Float[np.ndarray, " N"]:
+    """The sum of the last steps at every row, of as many as there are up to `window`."""
+    total = np.concatenate([[0.0], np.cumsum(steps)])
+    rows = np.arange(total.size)
+    return total - total[np.maximum(rows - window, 0)]

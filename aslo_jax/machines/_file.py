@@ -12,8 +12,8 @@ from ._registry import KINDS as KINDS, Kind, known_kind
 
 
 def read_machine(path: Path | str) -> AbstractDescription:
-    """Read and check the TOML file `path`; `kind = "mechanical"` runs the Python that it
-    names.
+    """Read and check the TOML file `path`; the kinds `"mechanical"` and
+    `"derived"` run the Python that they name.
 
     **Raises:** [`MachineError`][] for text that is not TOML, and for a key that is missing,
     unknown or out of range; `OSError` where the file cannot be opened.

@@ -26,6 +26,7 @@ from ._base import (
     Rate,
     Rates,
     certified,
+    over_window,
     relative,
 )
 from ._condensed import CondensedLog
@@ -202,8 +203,8 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
         for quantity, q in zip(self.quantities, self.unwrapped(log).T, strict=True):
             velocity = columns[quantity.columns[0]]
             mean = 0.5 * (velocity[1:] + velocity[:-1]) * steps
-            error = _over_window(np.diff(q) - mean)
-            size = _over_window(np.abs(mean))
+            error = over_window(np.diff(q) - mean, WINDOW)
+            size = over_window(np.abs(mean), WINDOW)
             found[quantity.name] = relative(error, size)
         return found
 
@@ -216,10 +217,3 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
         angles = self.plant().angles or (False,) * log.y.shape[1]
         columns = zip(log.y.T, angles, strict=True)
         return np.stack([np.unwrap(q) if angle else q for q, angle in columns], axis=1)
-
-
-def _over_window(steps: Float[np.ndarray, " n"]) -> Float[np.ndarray, " N"]:
-    """The sum of the last steps at every row, of as many as there are up to `WINDOW`."""
-    total = np.concatenate([[0.0], np.cumsum(steps)])
-    rows = np.arange(total.size)
-    return total - total[np.maximum(rows - WINDOW, 0)]

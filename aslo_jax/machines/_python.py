@@ -1,4 +1,4 @@
-"""A mechanical system from an import path."""
+"""A mechanical system, or a model, from an import path."""
 
 import difflib
 import importlib
@@ -6,33 +6,40 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from ..plants import AbstractMechanicalSystem
 from ._base import MachineError
 
+Loaded = TypeVar("Loaded")
+
 
 def load_system(path: str, folder: Path) -> AbstractMechanicalSystem:
-    """The system that `path`, `"package.module:attribute"`, names, or that it returns when
-    it is called. Modules of `folder` come before installed ones, for this call only.
+    """The mechanical system of an import path, as [`load`][] finds it."""
+    hint = "an `AbstractMechanicalSystem`, for instance a `MechanicalSystem`"
+    return load(path, folder, f"`machine.system`, {path}:", AbstractMechanicalSystem, hint)
+
+
+def load(path: str, folder: Path, what: str, wanted: type[Loaded], hint: str) -> Loaded:
+    """What `path`, `"package.module:attribute"`, names, or what that returns when it is
+    called. Modules of `folder` come before installed ones, for this call only. `what`
+    begins the messages, the `hint` says what is `wanted`.
 
     **Raises:** [`MachineError`][] where there is no such module or attribute, where running
-    the module fails, and for what is not a mechanical system.
+    the module fails, and for what is not `wanted`.
     """
     module, _, names = path.partition(":")
-    what = f"`machine.system`, {path}:"
     with _importable(folder):
         found = _import(module, folder, what)
         for name in names.split("."):
             found = _attribute(found, name, what)
-        if callable(found) and not isinstance(found, AbstractMechanicalSystem):
+        if callable(found) and not isinstance(found, wanted):
             found = _call(found, names, what)
-    if not isinstance(found, AbstractMechanicalSystem):
+    if not isinstance(found, wanted):
         raise MachineError(
-            f"{what} it must be an `AbstractMechanicalSystem`, for instance a "
-            f"`MechanicalSystem`, or return one, but it is {_a(found)}"
+            f"{what} it must be {hint}, or return one, but it is {_a(found)}"
         )
-    return found
+    return found  # pyright: ignore[reportReturnType]
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from ..schema import choices, hint
 from ._ball_beam import BallBeamDescription
 from ._base import AbstractDescription, MachineError
+from ._derived import DerivedDescription
 from ._double_integrator import STUDY as DOUBLE_INTEGRATOR
 from ._drive import DriveDescription
 from ._interior_pmsm import InteriorPMSMDescription
@@ -28,6 +29,7 @@ KINDS: dict[str, Kind] = {
         BallBeamDescription,
         DriveDescription,
         MechanicalDescription,
+        DerivedDescription,
     )
 }
 # Of which there are studies, and no logs.

@@ -100,12 +100,15 @@ def _jaxpr(graph: Graph, jaxpr: Any, consts: list[Value], inputs: list[Value]) -
     values.update(zip(jaxpr.invars, inputs, strict=True))
     for equation in jaxpr.eqns:
         arguments = [read(atom) for atom in equation.invars]
+        graph.sources.append(equation)
         try:
             found = _guarded(graph, equation, arguments)
         except Unsupported as error:
             error.primitive = error.primitive or equation.primitive.name
             error.origin = located(error.origin, equation)
             raise
+        finally:
+            graph.sources.pop()
         values.update(zip(equation.outvars, map(np.asarray, found), strict=True))
     return [read(atom) for atom in jaxpr.outvars]
 
@@ -132,11 +135,12 @@ def _apply(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
         return _constant(
             graph, equation, arguments, Unsupported(f"its numbers have type {kind}")
         )
-    if name in ELEMENTWISE:
-        rule = ELEMENTWISE[name]
+    rule = graph.rules.get(name) or ELEMENTWISE.get(name)
+    if rule is not None:
         spread = np.broadcast_arrays(*arguments)
         aval = equation.outvars[0].aval
-        looped = entrywise(graph, rule, aval.dtype, params, spread)
+        kept = name in graph.rules
+        looped = None if kept else entrywise(graph, rule, aval.dtype, params, spread)
         if looped is not None:
             return [looped]
         out = np.empty(aval.shape, np.int64)

@@ -1,6 +1,7 @@
 """A graph of scalar operations: each is kept once, and constants are folded."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -67,11 +68,18 @@ COMMUTES = {"add", "mul", "and", "or", "xor", "eq", "ne"}
 
 
 class Graph:
-    """Nodes by number, in an order in which every node follows its arguments."""
+    """Nodes by number, in an order in which every node follows its arguments.
+
+    `rules` of elementwise primitives are before the usual ones; `sources` are the equations
+    that are being lowered, the outermost first.
+    """
+
+    rules: Mapping[str, Callable[..., int]] = MappingProxyType({})
 
     def __init__(self, goal: Goal = MACHINE_CODE) -> None:
         self.goal = goal
         self.nodes: list[Node] = []
+        self.sources: list[Any] = []
         self.branches: dict[int, None] = {}  # conditions that were branches in the source
         self._numbers: dict[Any, int] = {}
         self._functions: dict[Any, Function] = {}

@@ -1,0 +1,231 @@
+"""What is derived from a model: the relation, and all that is known of it."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._filters import AbstractFilter
+from .certificate import Certificate, certificate
+from .changes import Change, changed, integrating
+from .closure import Closure, Constant
+from .decoding import decoder, lifted_states
+from .dictionary import Matrix, covectors
+from .lifted import Lowered, closed, lower
+from .model import Model
+from .observer import Coordinates, StateObserver, state_observer
+from .polynomials import Ring, Sampled
+from .refusal import reason, refusal
+from .relation import DerivedRelation, Parts, relation_of
+from .symbols import Program, program
+
+PERTURBED = 0.2  # of parameters, to see whether a closure holds for others too
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Derived:
+    """A relation that was derived from a model.
+
+    - `model`: the model; `relation`: for [`AlgebraicObserver`][] and what takes relations;
+    - `lifted`: what the entries of the relation's x are, in words, `v~` being a state v in
+      coordinates that depend on what is measured; `states`: the states of
+      the model that are found from it, `undetermined` those that are not; `notes` on what
+      is left open of a state, by its name;
+    - `kind`: that of the relation, in words; `proved`: whether it holds by the form of the
+      model alone, or was checked at points of its ranges besides;
+    - `slowest`: the rate (rad/s) that the low-pass filter of a least-squares observer must
+      be above, half of it for one that repeats; zero where any will do;
+    - `unused`: why equations of the model are not part of it;
+    - `coordinates`: from the relation's x to the states.
+    """
+
+    model: Model
+    relation: DerivedRelation
+    lifted: tuple[str, ...]
+    states: tuple[str, ...]
+    undetermined: tuple[str, ...]
+    notes: dict[str, str]
+    kind: str
+    proved: bool
+    slowest: float
+    unused: tuple[str, ...]
+    coordinates: Coordinates
+    _ring: Ring = dataclasses.field(repr=False)
+    _basis: tuple[Constant, ...] = dataclasses.field(repr=False)
+
+    def decode(
+        self, X: Float[Array, "*batch n"], y: Float[Array, "*batch p"]
+    ) -> Float[Array, "*batch k"]:
+        """The `states`, shape `(..., k)`, from the relation's x, `X` of shape `(..., n)`,
+        and the outputs, `y` of shape `(..., p)`."""
+        return self.coordinates.states(jnp.asarray(X), jnp.asarray(y))
+
+    def lift(
+        self, x: Float[Array, "N n"], y: Float[Array, "N p"]
+    ) -> Float[np.ndarray, "N m"]:
+        """The relation's x, shape `(N, m)`, of all states of the model, `x` of shape `(N,
+        n)`, unknown parameters the last ones, and the outputs, `y` of shape `(N, p)`."""
+        values, change = np.asarray(x, float), self.coordinates.change
+        if change is not None:
+            values = np.asarray(jax.vmap(change.into)(jnp.asarray(values), jnp.asarray(y)))
+        return lifted_states(self._ring, self._basis, values, self.model.values())
+
+    def certificate(self, cutoff: float | None = None, seed: int = 0) -> Certificate:
+        """What the relation is worth on simulated signals: an exact relation may be useless
+        with the least noise.
+
+        - `cutoff` (rad/s): of the filter, by default above `slowest` and as fast as the
+          outputs change; `seed`: of signals and noise.
+        """
+        return certificate(self.relation, self.model, self.slowest, cutoff, seed)
+
+    def observer(
+        self,
+        filter: AbstractFilter,
+        *,
+        gain: Float[Array, ""] | float | None = None,
+        initial: Any = None,
+        **settings: Any,
+    ) -> StateObserver:
+        """The observer of the `states`.
+
+        - `filter`: that of the Swapping Lemma;
+        - `gain` (rad/s): makes it an A-ASLO of the relation's x; by default none;
+        - `initial`: the states before the first certified instant, shape `(k,)`;
+        - `settings`: `completion`, `guard` and `start` of [`AlgebraicObserver`][].
+        """
+        return state_observer(self.coordinates, filter, gain, initial, **settings)
+
+    def __str__(self) -> str:
+        sure = "proved" if self.proved else "checked"
+        lines = [
+            f"relation: {self.kind}, {sure}",
+            f"x of the relation: {', '.join(self.lifted)}",
+            f"states: {', '.join(map(self._with_note, self.states)) or 'none'}",
+        ]
+        if self.undetermined:
+            lines.append(f"not determined: {', '.join(self.undetermined)}")
+        slowest = "any" if not self.slowest else f"above {self.slowest:.4g} rad/s"
+        lines.append(f"cutoff of the filter: {slowest}")
+        lines += [f"not used: {each}" for each in self.unused]
+        return "\n".join(lines)
+
+    def _with_note(self, name: str) -> str:
+        note = self.notes.get(name)
+        return f"{name} ({note})" if note else name
+
+
+def derive(model: Model) -> Derived:
+    """Derive the algebraic observer of what a `model` does not measure.
+
+    Its functions are traced and lowered as for the fused engine, and interpreted as
+    polynomials in the states (with sines, cosines and exponentials of these, every branch
+    of a `where` on measured signals, linear equations whose matrix is measured, and loops
+    of fixed length); anything else on the way from a state refuses the equation, with its
+    line. Then the rows are closed under differentiation, which gives a state-affine system.
+    What is measured is taken as free: whether a record excites it, the certificate tells.
+
+    **Raises:** [`NotDerivable`][] where no equation closes, with the reason, the pair of
+    states that is in the way, and the measurement that would help; [`NotFusible`][] for a
+    primitive that is not known; `ValueError` for a model that is not finite on its ranges.
+
+    Source: theory, "deriving the observer from a model"; Fliess and Kupka 1983,
+    doi:10.1137/0321041.
+    """
+    lowered = lower(model)
+    closure, algebra = closed(lowered)
+    for find in (integrating, covectors) if closure.failures else ():
+        change = find(lowered)
+        if change is None:
+            continue
+        other = lower(changed(model, change))
+        for k, name in enumerate(model.states):
+            if isinstance(change, Matrix) or change.factors[k] is not None:
+                other.ring.names[k] = f"{name}~"
+        found, sampled = closed(other)
+        if len(found.failures) < len(closure.failures):
+            rates = program(lowered.graph, lowered.nodes["f"])
+            derived = _derived(model, other, found, sampled, rates, change)
+            if isinstance(change, Matrix) and derived.undetermined:
+                continue  # a state takes all of them
+            return derived
+    if not closure.rows:
+        raise refusal(lowered, closure.failures)
+    rates = program(lowered.graph, lowered.nodes["f"])
+    return _derived(model, lowered, closure, algebra, rates, None)
+
+
+def _derived(
+    model: Model,
+    lowered: Lowered,
+    closure: Closure,
+    algebra: Sampled,
+    rates: Program,
+    change: Change | Matrix | None,
+) -> Derived:
+    parts = Parts(lowered, closure, algebra)
+    # A factor is a series of numbers, for the present values of the parameters.
+    free = change is None and (closure.structural or _holds_for_others(lowered, closure))
+    relation, basis = relation_of(parts, free)
+    steps = decoder(lowered.ring, basis)
+    names = list(model.ranges)
+    middle = tuple(0.5 * (low + high) for low, high in model.ranges.values())
+    text = lowered.ring.text
+    lifted = tuple(
+        " + ".join(text(m) if c == 1 else f"{c:.4g} {text(m)}" for m, c in b.items())
+        for b in basis
+    )
+    found = tuple(names[k] for k in steps.states)
+    return Derived(
+        model,
+        relation,
+        lifted,
+        found,
+        tuple(name for name in names if name not in found),
+        {names[k]: note for k, note in steps.notes.items()},
+        _kind(parts, relation),
+        closure.structural,
+        _slowest(parts),
+        tuple(reason(lowered, each) for each in closure.failures),
+        Coordinates(relation, steps, rates, middle, change),
+        lowered.ring,
+        tuple(basis),
+    )
+
+
+def _holds_for_others(lowered: Lowered, closure: Closure) -> bool:
+    """Whether the closure is the same for parameters nearby."""
+    values = lowered.model.values()
+    if not values.size:
+        return True
+    rng = np.random.default_rng(1)
+    nearby = values * (1.0 + PERTURBED * rng.uniform(-1.0, 1.0, values.shape))
+    nearby = np.where(values == 0.0, PERTURBED, nearby)
+    other, _ = closed(lowered, nearby)
+    same = other.pivots == closure.pivots and len(other.rows) == len(closure.rows)
+    return same and all(
+        a.keys() == b.keys() and np.allclose(list(a.values()), list(b.values()))
+        for a, b in zip(other.basis, closure.basis, strict=True)
+    )
+
+
+def _slowest(parts: Parts) -> float:
+    A = parts.state_matrix()
+    fastest = float(np.max(-np.linalg.eigvals(A).real, initial=0.0)) if A.size else 0.0
+    return (
+        2.0 * fastest if fastest > 1e-9 * max(np.abs(A).max(initial=0.0), 1e-300) else 0.0
+    )
+
+
+def _kind(parts: Parts, relation: DerivedRelation) -> str:
+    words = {
+        "linear": "linear",
+        "rate": "a rate",
+        "quadratic": "quadratic",
+        "rows": f"{len(parts.rows)} rows" if len(parts.rows) > 1 else "one row",
+    }[relation.kind]
+    moving = not all(parts.is_zero(n) for row in parts.A for n in row)
+    return f"{words}, state-affine" if moving and relation.kind != "quadratic" else words

@@ -1,0 +1,171 @@
+"""The value of a node of a graph, by NumPy at many points, and by JAX."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..engines._ir.graph import Node
+
+NUMPY: dict[str, Callable[..., Any]] = {
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "neg": np.negative,
+    "abs": np.abs,
+    "sqrt": np.sqrt,
+    "floor": np.floor,
+    "ceil": np.ceil,
+    "rint": np.rint,
+    "and": np.bitwise_and,
+    "or": np.bitwise_or,
+    "xor": np.bitwise_xor,
+    "not": np.invert,
+    "eq": np.equal,
+    "ne": np.not_equal,
+    "lt": np.less,
+    "le": np.less_equal,
+    "gt": np.greater,
+    "ge": np.greater_equal,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "atan2": np.arctan2,
+    "sinh": np.sinh,
+    "cosh": np.cosh,
+    "tanh": np.tanh,
+    "exp": np.exp,
+    "exp2": np.exp2,
+    "expm1": np.expm1,
+    "log": np.log,
+    "log1p": np.log1p,
+    "cbrt": np.cbrt,
+    "sign": np.sign,
+    "max": np.maximum,
+    "min": np.minimum,
+    "pow": np.power,
+}
+JAX: dict[str, Callable[..., Any]] = {
+    "add": lambda x, y: x + y,
+    "sub": lambda x, y: x - y,
+    "mul": lambda x, y: x * y,
+    "div": lambda x, y: x / y if _is_real(x) or _is_real(y) else jax.lax.div(x, y),
+    "neg": lambda x: -x,
+    "abs": jnp.abs,
+    "sqrt": jnp.sqrt,
+    "floor": jnp.floor,
+    "ceil": jnp.ceil,
+    "rint": jnp.rint,
+    "and": jnp.bitwise_and,
+    "or": jnp.bitwise_or,
+    "xor": jnp.bitwise_xor,
+    "not": jnp.invert,
+    "shl": jax.lax.shift_left,
+    "lshr": jax.lax.shift_right_logical,
+    "ashr": jax.lax.shift_right_arithmetic,
+    "ones": jax.lax.population_count,
+    "zeros": jax.lax.clz,
+    "eq": lambda x, y: x == y,
+    "ne": lambda x, y: x != y,
+    "lt": lambda x, y: x < y,
+    "le": lambda x, y: x <= y,
+    "gt": lambda x, y: x > y,
+    "ge": lambda x, y: x >= y,
+    "select": jnp.where,
+    "fma": lambda x, y, z: x * y + z,
+}
+
+
+def _is_real(x: Any) -> bool:
+    return isinstance(x, float) or jnp.issubdtype(jnp.result_type(x), jnp.floating)
+
+
+def bound(node: Node, args: Sequence[Any]) -> Any:
+    """The result of a node on values of JAX. Real constants are plain numbers, so that they
+    take the precision of what they meet, and conversions between precisions are none."""
+    if node.op == "const":
+        return node.data.item() if node.dtype.kind in "fb" else node.data
+    if node.op == "convert":
+        if node.dtype.kind != "f":
+            return jnp.asarray(args[0]).astype(node.dtype)
+        (x,) = args
+        return x if _is_real(x) else jnp.asarray(x).astype(jnp.result_type(float))
+    if node.op == "bitcast":
+        return jax.lax.bitcast_convert_type(args[0], node.dtype)
+    if node.op == "table":
+        return jnp.asarray(node.data)[args[0]]
+    if node.op in JAX:
+        return JAX[node.op](*args)
+    return _primitive(node, args)
+
+
+def _primitive(node: Node, args: Sequence[Any]) -> Any:
+    dtype = jnp.result_type(*args)
+    dtype = dtype if jnp.issubdtype(dtype, jnp.floating) else jnp.result_type(float)
+    arrays = [jnp.asarray(x, dtype) for x in args]
+    return getattr(jax.lax, f"{node.op}_p").bind(*arrays, **dict(node.data))
+
+
+def at_points(
+    nodes: Sequence[Node],
+    order: Sequence[int],
+    inputs: dict[Any, np.ndarray],
+    picked: Callable[[int, np.ndarray], np.ndarray],
+) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """The values of the nodes of an `order` at points, shape `(N,)`, and their magnitudes:
+    what they would be, did nothing cancel. `picked(condition, true)` says which branch of a
+    choice is taken at each point."""
+    found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+    with np.errstate(all="ignore"):
+        for number in order:
+            node = nodes[number]
+            args = [found[a][0] for a in node.args]
+            sizes = [found[a][1] for a in node.args]
+            if node.op == "select":
+                which = picked(node.args[0], args[0])
+                value = np.where(which, args[1], args[2])
+                size = np.where(which, sizes[1], sizes[2])
+            else:
+                value = inputs[node.data] if node.op == "input" else _value(node, args)
+                size = _size(node, args, sizes, value)
+            found[number] = value, size
+    return found
+
+
+def _value(node: Node, args: Sequence[np.ndarray]) -> np.ndarray:
+    if node.op == "const":
+        data = node.data
+        return np.asarray(data, np.float64) if node.dtype.kind == "f" else np.asarray(data)
+    if node.op == "convert":
+        if node.dtype.kind == "f":
+            return args[0].astype(np.float64)
+        return np.trunc(args[0]).astype(node.dtype)
+    if node.op == "div" and node.dtype.kind == "f":
+        return np.divide(*args)
+    if node.op == "table":
+        return node.data[args[0]]
+    if node.op in NUMPY:
+        return np.asarray(NUMPY[node.op](*args))
+    return np.asarray(bound(node, args))
+
+
+def _size(
+    node: Node,
+    args: Sequence[np.ndarray],
+    sizes: Sequence[np.ndarray],
+    value: np.ndarray,
+) -> np.ndarray:
+    if node.op in ("add", "sub"):
+        return sizes[0] + sizes[1]
+    if node.op == "mul":
+        return sizes[0] * sizes[1]
+    if node.op == "div" and node.dtype.kind == "f":
+        return sizes[0] / np.abs(args[1])
+    if node.op in ("neg", "convert"):
+        return sizes[0]
+    return np.abs(value) if value.dtype.kind == "f" else np.asarray(0.0)

@@ -1,0 +1,170 @@
+"""Observers derived from models: exact on motions integrated to 1e-12, with the figures of
+the theory; what cannot be derived is refused, by its line."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from accurate import integrated
+from derivable import CASES, CHANGED, Case, stacked
+
+import aslo_jax as aslo
+from aslo_jax._derive.lifted import lower
+from aslo_jax._derive.plant import ModelPlant
+from aslo_jax.derivation import derive
+
+COMPLETIONS = {"repeat": aslo.Repeat, "least-squares": aslo.LeastSquares}
+
+
+def _start(given):
+    case, observer = given
+    s = jnp.asarray(case.start, float)
+    _, y, u = case.of(jnp.zeros(()), s)
+    return s, observer.init(y, u).states
+
+
+def _rate(given, t, states):
+    case, observer = given
+    s, inner = states
+    _, y, u = case.of(t, s)
+    rates = observer.vector_field(t, aslo.ObserverState(inner, y), u, y).states
+    return case.slope(t, s), rates
+
+
+def _record(given, t, states):
+    case, observer = given
+    s, inner = states
+    x, y, u = case.of(t, s)
+    return x, y, observer.estimate(t, aslo.ObserverState(inner, y), u, y)
+
+
+def run(case: Case, found):
+    """The states, and the estimate of the relation's x, from 10 ms on."""
+    observer = aslo.AlgebraicObserver(
+        found.relation,
+        aslo.LowPass(case.cutoff),
+        COMPLETIONS[case.completion](),
+        guard=None,
+    )
+    early = np.linspace(0.01, 0.1, 10)
+    ts = np.unique(np.concatenate([early, np.linspace(0.1, case.horizon, 30)]))
+    ts = ts[ts <= case.horizon]
+    return ts, *integrated(_start, _rate, _record, (case, observer), jnp.asarray(ts))
+
+
+@pytest.mark.parametrize("name", [*CASES, *CHANGED])
+def test_the_relation_is_exact(name):
+    case = (CASES | CHANGED)[name]()
+    found = derive(case.model)
+    ts, x, y, estimate = run(case, found)
+    truth = np.asarray(found.lift(x, y))
+    late = ts >= case.since
+    error = np.abs(np.asarray(estimate.value) - truth) / np.abs(truth).max(axis=0)
+    assert error[late].max() < 10 * case.figure
+    names = list(case.model.ranges)
+    places = [names.index(name) for name in found.states]
+    decoded = np.asarray(found.decode(jnp.asarray(truth), y))
+    if not found.notes:
+        np.testing.assert_allclose(decoded, np.asarray(x)[:, places], rtol=1e-9, atol=1e-9)
+
+
+def test_one_derivation_takes_less_than_a_few_thousand_operations():
+    """Not a time, which depends on the machine: what a time is made of."""
+    assert len(lower(CASES["cuk"]().model).graph.nodes) < 100
+
+
+@pytest.mark.parametrize("completion", COMPLETIONS)
+def test_a_motor_takes_the_operations_of_one_written_by_hand(monkeypatch, completion):
+    """In the fused engine; and it gives the same estimates."""
+    pytest.importorskip("llvmlite")
+    from aslo_jax.engines._fused import replay as module
+
+    counted, kept = [], module.kept
+
+    def counting(key, make):
+        program = kept(key, make)
+        counted.append(program.operations)
+        return program
+
+    monkeypatch.setattr(module, "kept", counting)
+    by_hand = aslo.plants.FluxRelation(0.7, 0.004, 0.06)
+    derived = derive(CASES["pmsm"]().model).relation
+    rng = np.random.default_rng(0)
+    u, y = rng.normal(size=(2, 300, 2))
+    t = 1e-4 * np.arange(300)
+    values = []
+    for relation in (by_hand, derived):
+        observer = aslo.AlgebraicObserver(
+            relation, aslo.LowPass(20.0), COMPLETIONS[completion]()
+        )
+        values.append(aslo.replay(observer, t, u, y, engine="fused").value)
+    np.testing.assert_allclose(values[1], values[0], rtol=1e-6, atol=1e-9)
+    assert counted[1] <= 1.05 * counted[0]
+
+
+def test_parameters_stay_parameters():
+    """The gradient of the relation is that of one derived for other values."""
+    case = CASES["pmsm"]()
+    relation = derive(case.model).relation
+    u, y = jnp.array([1.0, 2.0]), jnp.array([0.3, -0.4])
+
+    def drift(R):
+        other = dataclasses.replace(
+            relation, parameters=relation.parameters | {"resistance": R}
+        )
+        return other(u, y).z
+
+    np.testing.assert_allclose(drift(0.9), u - 0.9 * y, rtol=1e-14)
+    np.testing.assert_allclose(jax.jacfwd(drift)(0.7), -y, rtol=1e-14)
+
+
+def test_the_slowest_filter_of_a_boost_converter():
+    """Twice R/L for least squares."""
+    assert derive(CASES["boost"]().model).slowest == pytest.approx(2 * 0.35 / 1.7e-3)
+
+
+def test_a_certificate_with_a_matrix_that_varies_is_at_most_one():
+    case = CASES["boost"]()._replace(completion="least-squares")
+    _, _, _, estimate = run(case, derive(case.model))
+    certificate = np.asarray(estimate.certificate)
+    assert np.all(certificate <= 1.0 + 1e-9) and certificate[-1] > 1e-3
+
+
+def test_states_coast_along_the_model():
+    """The observer gives the states; what is not certified follows their rates."""
+    case = CASES["unicycle"]()
+    found = derive(case.model)
+    assert found.states == ("heading",) and "period" in found.notes["heading"]
+    observer = found.observer(aslo.LowPass(5.0), initial=jnp.array([0.7]))
+    t = 1e-2 * np.arange(300)
+    u = np.stack([np.zeros(300), 0.5 * np.ones(300)], axis=1)  # at rest, turning
+    estimate = aslo.replay(observer, t, u, np.zeros((300, 2)))
+    assert np.asarray(estimate.coasting).all()
+    np.testing.assert_allclose(estimate.value[:, 0], 0.7 + 0.5 * t, atol=1e-9)
+
+
+@pytest.mark.parametrize("gain", [None, 30.0])
+def test_the_observer_finds_the_states_of_a_sampled_log(gain):
+    case = CASES["dc_motor_from_current"]()
+    found = derive(case.model)
+    t = np.linspace(0.0, 0.5, 5001)
+    plant = ModelPlant(case.model)
+    ts, h = jnp.asarray(t), t[1]
+
+    def step(s, t):
+        u = stacked(case.drive(t + 0.5 * h))
+        f = lambda s: plant.vector_field(t, s, u)
+        a = f(s)
+        b = f(s + 0.5 * h * a)
+        c = f(s + 0.5 * h * b)
+        d = f(s + h * c)
+        return s + h / 6 * (a + 2 * b + 2 * c + d), (s, u)
+
+    _, (s, u) = jax.lax.scan(step, jnp.asarray(case.start, float), ts)
+    guard = aslo.Guard(threshold=1e-9)
+    observer = found.observer(aslo.LowPass(50.0), gain=gain, guard=guard)
+    estimate = aslo.replay(observer, t, np.asarray(u), np.asarray(s[:, 3:]))
+    error = np.abs(np.asarray(estimate.value)[-1] / np.asarray(s)[-1, :3] - 1.0)
+    assert error.max() < 1e-3
