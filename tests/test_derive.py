@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from accurate import integrated
-from derivable import CASES, CHANGED, Case, stacked
+from derivable import CASES, CHANGED
+from derivable_case import Case, stacked
 
 import aslo_jax as aslo
 from aslo_jax._derive.lifted import lower

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from derivable import drone, epidemic, van_der_pol
+from derivable_others import drone, epidemic, van_der_pol
 
 import aslo_jax as aslo
 from aslo_jax.derivation import Model, NotDerivable, derive
@@ -30,7 +30,7 @@ def refusal(model):
 def test_a_magnitude_is_refused_by_its_line():
     error = refusal(drone("of either sign").model)
     assert "`jnp.abs`" in str(error) or "primitive `abs`" in str(error)
-    assert "derivable.py:" in str(error) and "speed" in str(error)
+    assert "derivable_others.py:" in str(error) and "speed" in str(error)
 
 
 def test_roots_and_logarithms_are_refused():
