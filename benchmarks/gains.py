@@ -51,7 +51,9 @@ def tuned(name: str) -> dict[str, dict[str, float]]:
     names = {
         observer: BEARING if name == "magnetic_bearing" else GAINS[table["kind"]]
         for observer, table in content["observers"].items()
+        if table["kind"] in GAINS  # others have none
     }
+    content["observers"] = {k: content["observers"][k] for k in names}
     search = None
     for span in (10.0, 2.0):
         candidates = {
