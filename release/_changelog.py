@@ -1,0 +1,25 @@
+"""What CHANGELOG.md says."""
+
+import re
+
+from . import ROOT
+
+HEADING = re.compile(r"^## \[([^]]+)\](?: - (\d{4}-\d\d-\d\d))?$", re.M)
+
+
+def changelog() -> str:
+    return (ROOT / "CHANGELOG.md").read_text("utf-8")
+
+
+def releases() -> list[tuple[str, str]]:
+    """The version and the date of each, the latest first."""
+    return [(version, date) for version, date in HEADING.findall(changelog()) if date]
+
+
+def latest_release() -> str:
+    return releases()[0][0]
+
+
+def unreleased() -> str:
+    """What stands under `## [Unreleased]`."""
+    return re.split(r"^## .*$", changelog(), maxsplit=2, flags=re.M)[1]
