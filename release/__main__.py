@@ -28,10 +28,12 @@ def main(arguments: list[str] | None = None) -> int:
         "--quick", action="store_true", help="without building and installing"
     )
     check.add_argument("--tag", help="of the release, as v0.2.0: nothing may be unreleased")
-    commands.add_parser(
-        "snapshot", help="store the public names, of the version just released"
-    )
-    commands.add_parser("licences", help="of the installed dependencies")
+    commands.add_parser("snapshot", help="store the public names of a release")
+    commands.add_parser("licences", help="print those of the installed dependencies")
+    made = commands.add_parser("build", help="the wheel and the sdist, into a folder")
+    made.add_argument("folder", type=Path)
+    drafted = commands.add_parser("recipe", help="print a recipe for conda-forge")
+    drafted.add_argument("sdist", type=Path)
     given = parser.parse_args(arguments)
     match given.command:
         case "snapshot":

@@ -21,5 +21,6 @@ def latest_release() -> str:
 
 
 def unreleased() -> str:
-    """What stands under `## [Unreleased]`."""
-    return re.split(r"^## .*$", changelog(), maxsplit=2, flags=re.M)[1]
+    """What stands under `## [Unreleased]`; nothing where there is no such heading."""
+    found = re.search(r"^## \[Unreleased\]$(.*?)(?=^## )", changelog(), re.M | re.S)
+    return found[1] if found else ""

@@ -11,7 +11,7 @@ from ._versions import project
 
 
 def check_deprecations() -> list[str]:
-    """Uses of `deprecated(since, removed, instead)` that this version must no longer have."""
+    """Uses of `deprecated(since, removed, instead)` that this version must not have."""
     version = Version(project()["version"])
     files = sorted((ROOT / PACKAGE).rglob("*.py"))
     return [
