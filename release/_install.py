@@ -13,7 +13,7 @@ from ._versions import project
 
 
 def check_install() -> list[str]:
-    """That the wheel installs there, and that README.md's blocks of Python print what
+    """That the wheel installs there, with the extra for logs, and that README.md's blocks of Python print what
     stands below them."""
     with tempfile.TemporaryDirectory() as folder:
         build(ROOT, Path(folder))
@@ -47,7 +47,7 @@ def _installed(wheel: Path, python: str) -> list[str]:
         )
         for command in (
             (python, "-m", "venv", str(here)),
-            (str(inside), "-m", "pip", "install", "--quiet", str(wheel)),
+            (str(inside), "-m", "pip", "install", "--quiet", f"{wheel}[cli]"),
         ):
             made = run(*command)
             if made.returncode:
@@ -57,8 +57,8 @@ def _installed(wheel: Path, python: str) -> list[str]:
         shutil.copytree(home / "data", Path(folder, PACKAGE, "data"))
         found = []
         for code, printed in readme_blocks():
-            # `-P`: the folder of the data is not the package.
-            made = run(str(inside), "-P", "-c", code)
+            # Isolated: neither the folder of the data nor PYTHONPATH is the package.
+            made = run(str(inside), "-I", "-c", code)
             if made.returncode or made.stdout != printed:
                 found.append(
                     f"{python}: README.md's block gives {made.stdout}{made.stderr}"

@@ -263,5 +263,5 @@ def test_citation_of_an_observer_and_its_parts():
 
 
 def test_citation_of_what_is_no_module():
-    with pytest.raises(TypeError, match="must be an observer .*, but is int"):
+    with pytest.raises(TypeError, match=r"must be an observer .*, but is int"):
         aslo.citation(3)
