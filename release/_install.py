@@ -13,8 +13,8 @@ from ._versions import project
 
 
 def check_install() -> list[str]:
-    """That the wheel installs there, with the extra for logs, and that README.md's blocks of Python print what
-    stands below them."""
+    """That the wheel installs there, with the extra for logs, and that README.md's blocks
+    of Python print what stands below them."""
     with tempfile.TemporaryDirectory() as folder:
         build(ROOT, Path(folder))
         (wheel,) = Path(folder).glob("*.whl")
