@@ -100,10 +100,10 @@ def public_api(root: Path) -> Signatures:
     faces = [each for each in package.modules.values() if each.name in package.imports]
     found: Signatures = {}
     for module in (package, *(inner for face in faces for inner in _modules(face))):
-        for name in module.exports or ():
+        for name in map(str, module.exports or ()):
             if name.startswith("__"):
                 continue
-            member = module.members[str(name)]
+            member = module.members[name]
             if member.is_alias:
                 member = member.final_target  # pyright: ignore[reportAttributeAccessIssue]
             if isinstance(member, griffe.Module):
@@ -127,7 +127,7 @@ def _modules(module: griffe.Module) -> Iterator[griffe.Module]:
 
 def _signature(member: griffe.Object | griffe.Alias) -> str:
     if isinstance(member, griffe.Function):
-        stars = {
+        stars: dict[griffe.ParameterKind | None, str] = {
             griffe.ParameterKind.var_positional: "*",
             griffe.ParameterKind.var_keyword: "**",
         }
@@ -143,7 +143,8 @@ def _signature(member: griffe.Object | griffe.Alias) -> str:
         shown = [
             name + ("=" if _optional(each) else "")
             for name, each in member.all_members.items()
-            if each.is_attribute
+            if isinstance(each, griffe.Attribute | griffe.Alias)
+            and each.is_attribute
             and not name.startswith("_")
             and each.annotation is not None
             and "ClassVar" not in str(each.annotation)

@@ -47,14 +47,14 @@ def licences() -> dict[str, str]:
 def licence_of(installed: Distribution) -> str:
     """Its SPDX expression, else its classifiers, else the first line of its free text."""
     said = installed.metadata
-    if expression := said.get("License-Expression"):
-        return expression
+    if expression := said.get_all("License-Expression"):
+        return expression[0]
     classifiers = [
         each.rpartition(" :: ")[2]
         for each in said.get_all("Classifier") or ()
         if each.startswith("License :: ") and each != "License :: OSI Approved"
     ]
-    free = (said.get("License") or "").strip().partition("\n")[0]
+    free = (said.get_all("License") or [""])[0].strip().partition("\n")[0]
     return " AND ".join(classifiers) or free
 
 
