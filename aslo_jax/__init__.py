@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         study as study,
         tune as tune,
     )
+    from ._citation import Citation as Citation, citation as citation
     from ._replay import replay as replay
     from ._simulate import Simulation as Simulation, simulate as simulate
     from ._smooth import smooth as smooth
@@ -135,6 +136,7 @@ __all__ = [
     "Batch",
     "BearingObserver",
     "Chain",
+    "Citation",
     "Derived",
     "Estimate",
     "Experiment",
@@ -178,6 +180,7 @@ __all__ = [
     "Unwrapped",
     "VelocityObserver",
     "__version__",
+    "citation",
     "control",
     "datasheet",
     "derivation",
@@ -211,6 +214,7 @@ __dir__: _Callable[[], list[str]]
 __getattr__, __dir__ = _lazily(
     __name__,
     {
+        "_citation": ("Citation", "citation"),
         "_replay": ("replay",),
         "_simulate": ("Simulation", "simulate"),
         "_smooth": ("smooth",),

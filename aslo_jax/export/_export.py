@@ -10,12 +10,13 @@ import numpy as np
 
 from .. import __version__
 from .._checks import positive
+from .._citation import described, made_of
 from .._typing import Missing, PyTree
 from ._blocks import Block, Chain, block_of
 from ._fields import RESERVED, Field
 from ._fmu import write_fmu
 from ._harness import harness, is_held
-from ._header import CONTROL, SAMPLING, header, sources, top, wrapped
+from ._header import CONTROL, SAMPLING, header, top, wrapped
 from ._readme import readme
 from ._source import Source, source
 from ._traced import Traced, traced
@@ -226,7 +227,7 @@ def _above(
         f"{prefix}.h: made by aslo_jax {__version__}; make it again rather than change it.",
         f"  {command}",
         "What it is made of:",
-        *sources(observer),
+        *dict.fromkeys(map(described, made_of(observer))),
         "SI units; angles in radians; alpha-beta quantities amplitude-invariant, in the "
         "stationary frame, unless a comment says otherwise.",
         f"Sampled every {every}. {convention}",

@@ -1,12 +1,7 @@
 """The text of the `.h` file, and what stands above the `.c` file."""
 
-import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
-
-import equinox as eqx
-import jax
 
 from ..engines._c.types import c_type
 from ._fields import Field
@@ -29,30 +24,6 @@ STATUS = {
     "NOT_BEGUN": "the state has not been through `init`; nothing has been changed",
     "BAD_INTERVAL": "dt is not positive and finite; nothing has been changed",
 }
-
-
-def sources(module: Any) -> list[str]:
-    """The classes that a module is made of, each with the first sentence of its docstring
-    and the source that this names."""
-    found: dict[str, None] = {}
-
-    def visit(part: Any) -> None:
-        kind = type(part)
-        doc = " ".join((kind.__doc__ or "").partition("**Raises")[0].split())
-        doc = re.sub(r"\[`([^`]*)`\]\[[^]]*\]", r"`\1`", doc)
-        if not doc.startswith(f"{kind.__name__}("):  # which a dataclass makes up
-            name = f"{kind.__module__.split('.')[0]}.{kind.__qualname__}"
-            said = [f"{name}: {re.split(r'[.:](?= [-A-Z])', doc)[0]}"] if doc else [name]
-            named = re.search(r"Source: (.*?)(?=[.] (?=[A-Z][a-z]+ [a-z])|[.]?$)", doc)
-            said += [f"Source: {named[1]}"] if named else []
-            found["; ".join(each.rstrip(".") for each in said) + "."] = None
-        inner = lambda x: x is not part and isinstance(x, eqx.Module)
-        for each in jax.tree.leaves(part, is_leaf=inner):
-            if isinstance(each, eqx.Module):
-                visit(each)
-
-    visit(module)
-    return list(found)
 
 
 def comment(paragraphs: Iterable[str]) -> str:
