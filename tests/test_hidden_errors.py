@@ -77,16 +77,19 @@ def other(field, place, deviation, statistic, share=0.1, doubt=0.0):
 def test_an_interval_holds_whichever_alternative_is_right():
     """It reaches as far as the furthest of them, in closed form: half of the mass of a
     chi-squared distribution of two degrees of freedom is within `2 log 2`."""
-    own = Profile(np.zeros(1), np.zeros(1), -1.0, 1.0, True)
+    own = Profile(np.zeros(1), np.zeros(1), -0.05, 0.05, True)
     reach = np.sqrt(2 * np.log(2))
-    near = other("dead_time", 0.5, 0.1, 1.0)
-    far = other("delay", -0.5, 2.0, 1.0, doubt=0.25)
+    near = other("dead_time", 0.025, 0.005, 1.0)
+    far = other("delay", -0.025, 0.07, 1.0, doubt=0.0125)
     (same,) = widened([own], [near], 0.5)
-    assert (same.low, same.high, same.allowed) == (-1.0, 1.0, ())
+    assert (same.low, same.high, same.allowed) == (-0.05, 0.05, ())
     (found,) = widened([own], [near, far], 0.5)
-    assert found.low == pytest.approx(-0.75 - 2 * reach, rel=1e-12)
-    assert found.high == pytest.approx(-0.25 + 2 * reach, rel=1e-12)
+    assert found.low == pytest.approx(-0.0375 - 0.07 * reach, rel=1e-12)
+    assert found.high == pytest.approx(-0.0125 + 0.07 * reach, rel=1e-12)
     assert found.allowed == ("delay",)
+    # What it says of first order is nothing beyond a tenth.
+    (vague,) = widened([own], [near, other("delay", 0.0, 0.09, 1.0)], 0.5)
+    assert (vague.low, vague.high, vague.allowed) == (-np.inf, np.inf, ("delay",))
     (open_,) = widened([Profile(np.zeros(1), np.zeros(1), -np.inf, 1.0, False)], [far], 0.5)
     assert open_.low == -np.inf
 

@@ -131,7 +131,10 @@ FAULTS = {
         "but is 'dare'",
     ),
     "start": (MOTOR + '[observer]\nstart = "cold"\n', 'must be "exact" or "paper"'),
-    "cutoff": (MOTOR + "[observer]\ncutoff = 0.0\n", "positive finite number, but is 0.0"),
+    "cutoff": (
+        MOTOR + "[observer]\ncutoff = 0.0\n",
+        "a positive finite number, or { per_speed",
+    ),
     "gain": (MOTOR + "[observer]\ngain = -5\n", "`observer.gain`"),
     "syntax": (MOTOR + "gain = \n", "is not valid TOML: Invalid value (at line 8"),
 }

@@ -327,7 +327,7 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
 
 def algebraic(
     relation: Callable,
-    cutoff: Rate,
+    cutoff: Rate | float,
     *,
     threshold: float,
     completion: CompletionName = "least-squares",
@@ -335,12 +335,14 @@ def algebraic(
     gain: Rate | None = None,
     forgetting: Rate | None = None,
 ) -> AbstractObserver:
-    """The ASLO with a filter of a `cutoff`, or with a `gain` (rad/s) the A-ASLO; the least
-    squares forget at the rate `forgetting`, by default the cutoff."""
+    """The ASLO with a filter of a `cutoff` (rad/s, or that follows the speed), or with a
+    `gain` (rad/s) the A-ASLO; the least squares forget at the rate `forgetting`, by default
+    the cutoff."""
+    pace = cutoff.value if isinstance(cutoff, Rate) else cutoff
     rate = None if forgetting is None else low_pass(forgetting.value, relation)
     observer = AlgebraicObserver(
         relation,
-        low_pass(cutoff.value, relation),
+        low_pass(pace, relation),
         completion=LeastSquares(rate) if completion == "least-squares" else Repeat(),
         guard=Guard(threshold=threshold),
         start=start,
