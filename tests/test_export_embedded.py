@@ -85,10 +85,10 @@ def test_the_vectors_on_a_cortex_m4f(dtype, tmp_path):
 # Rules that the C deviates from, and why.
 DEVIATIONS = {
     "2.5": "a macro of the header is for its user, the interval",
-    "10.4": "counters of loops are signed, as their bounds",
+    "10.4": "counters of loops are unsigned, their bounds plain numbers",
     "10.8": "bits of a number are shifted as unsigned, and cast back",
-    "12.1": "operands of ?: are names without brackets",
-    "15.5": "a refusal returns at once",
+    "12.1": "operands of ?: that are sums or names, which the addon wants in brackets",
+    "15.5": "a rounding function returns at once what has no fraction",
     "19.2": "bits of a number are read through a union",
 }
 # What a violation of a rule looks like, as the body of a function of n.
