@@ -85,10 +85,10 @@ def test_the_vectors_on_a_cortex_m4f(dtype, tmp_path):
 # Rules that the C deviates from, and why.
 DEVIATIONS = {
     "2.5": "a macro of the header is for its user, the interval",
-    "10.4": "counters of loops are signed, as their bounds",
+    "10.4": "counters of loops are unsigned, their bounds plain numbers",
     "10.8": "bits of a number are shifted as unsigned, and cast back",
-    "12.1": "operands of ?: are names without brackets",
-    "15.5": "a refusal returns at once",
+    "12.1": "operands of ?: that are sums or names, which the addon wants in brackets",
+    "15.5": "a rounding function returns at once what has no fraction",
     "19.2": "bits of a number are read through a union",
 }
 # What a violation of a rule looks like, as the body of a function of n.
@@ -105,7 +105,6 @@ PLANTED = {
     "17.2": "return (n > 0) ? planted(n - 1) : 0;",
     "18.8": "int a[n]; a[0] = n; return a[0];",
     "19.2": "union { int i; float f; } a; a.i = n; return a.i;",
-    "21.3": "int *a = malloc(4u); free(a); return n;",
     "21.6": 'printf("%d", n); return n;',
 }
 
@@ -121,8 +120,11 @@ def violated(folder: Path, name: str) -> set[str]:
 @pytest.mark.parametrize("rule", PLANTED)
 def test_a_planted_violation_is_found(rule, tmp_path):
     needs("cppcheck")
-    head = "#include <stdio.h>\n#include <stdlib.h>\nint planted(int n);\n"
-    (tmp_path / "one.c").write_text(f"{head}int planted(int n) {{ {PLANTED[rule]} }}\n")
+    head = "int planted(int n);\n"
+    included = "#include <stdio.h>\n" if "printf" in PLANTED[rule] else ""
+    (tmp_path / "one.c").write_text(
+        f"{included}{head}int planted(int n) {{ {PLANTED[rule]} }}\n"
+    )
     (tmp_path / "none.c").write_text(f"{head}int planted(int n) {{ return n; }}\n")
     assert rule in violated(tmp_path, "one.c")
     assert rule not in violated(tmp_path, "none.c")

@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 from compiled_c import Compiled, compiler, rows_of
-from test_export_c import LOG, MOTOR, command, export_motor
+from exported_motor import LOG, MOTOR, command, export_motor
 
 from aslo_jax.export._fmu import _built
 from aslo_jax.logs import read_log

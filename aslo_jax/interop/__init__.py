@@ -1,0 +1,21 @@
+"""Observers and linear systems of python-control and of SciPy, there and back."""
+
+from ._control import to_nlsys as to_nlsys
+from ._linear import (
+    LinearPlant as LinearPlant,
+    kalman as kalman,
+    luenberger as luenberger,
+    plant as plant,
+    to_control as to_control,
+    to_scipy as to_scipy,
+)
+
+__all__ = [
+    "LinearPlant",
+    "kalman",
+    "luenberger",
+    "plant",
+    "to_control",
+    "to_nlsys",
+    "to_scipy",
+]
