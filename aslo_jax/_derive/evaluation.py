@@ -7,28 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..engines._ir.folding import UFUNCS
 from ..engines._ir.graph import Node
 
 NUMPY: dict[str, Callable[..., Any]] = {
-    "add": np.add,
-    "sub": np.subtract,
-    "mul": np.multiply,
-    "neg": np.negative,
-    "abs": np.abs,
-    "sqrt": np.sqrt,
-    "floor": np.floor,
-    "ceil": np.ceil,
-    "rint": np.rint,
-    "and": np.bitwise_and,
-    "or": np.bitwise_or,
-    "xor": np.bitwise_xor,
-    "not": np.invert,
-    "eq": np.equal,
-    "ne": np.not_equal,
-    "lt": np.less,
-    "le": np.less_equal,
-    "gt": np.greater,
-    "ge": np.greater_equal,
+    **UFUNCS,
     "sin": np.sin,
     "cos": np.cos,
     "tan": np.tan,

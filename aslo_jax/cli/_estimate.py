@@ -28,6 +28,8 @@ from ._options import (
     double_precision,
     mapping,
     reading,
+    refuse_rates,
+    stated_rates,
 )
 from ._outputs import refuse_overlap, staged
 
@@ -143,17 +145,13 @@ def estimate(
 ) -> None:
     """Estimate what no sensor of a machine measures over a LOG."""
     double_precision()
-    from .._checks import positive
     from ..diagnosis import shift_of
     from ..logs import check_suffix
-    from ..machines import MachineError, read_machine
+    from ..machines import read_machine
     from ._running import opened, tabulated, with_noise
     from ._smoothing import check_length, check_smoothing
 
-    given = {"cutoff": cutoff, "pll_bandwidth": pll_bandwidth}
-    given = {name: value for name, value in given.items() if value is not None}
-    for name, value in given.items():
-        positive(_option(name), value, "rad/s")
+    given = stated_rates(cutoff=cutoff, pll_bandwidth=pll_bandwidth)
     check_suffix(out)
     shift = shift_of(voltage)
     optional = {"--plot": plot, "--json": json}
@@ -165,12 +163,7 @@ def estimate(
         check_figure_suffix(plot)
         require("matplotlib", "cli,plot")
     description = read_machine(machine)
-    for name in given:
-        if name in description.refused:
-            raise MachineError(
-                f"{_option(name)} is not for {machine}, whose kind is "
-                f'"{description.kind}": {description.refused[name]}.'
-            )
+    refuse_rates(given, description, machine)
     steps = _substeps(substeps, description, machine)
     if smooth:
         check_smoothing(description, str(machine))
@@ -241,10 +234,6 @@ def _substeps(given: int | None, description: Any, path: Path) -> int:
             "samples that are interpolated have no noise of their own."
         )
     return 1
-
-
-def _option(name: str) -> str:
-    return "--" + name.replace("_", "-")
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from .._choices import MOST_SUBSTEPS
-from ._options import double_precision
+from ._options import double_precision, option, refuse_rates, stated_rates
 
 TARGETS = ("c", "fmu2", "fmu3")
 CUTOFF = (
@@ -76,8 +76,7 @@ def export(
     A motor's comes with a phase-locked loop for its angle, in one turn, and its speed.
     """
     double_precision()
-    from .._checks import positive
-    from ..machines import MachineError, read_machine
+    from ..machines import read_machine
 
     if target not in TARGETS:
         raise ValueError(
@@ -88,17 +87,9 @@ def export(
             "give either --interval, the seconds from step to step, or "
             "--variable-interval, with which every step is given them."
         )
-    stated = {"cutoff": cutoff, "pll_bandwidth": pll_bandwidth}
-    given = {name: value for name, value in stated.items() if value is not None}
-    for name, value in given.items():
-        positive(_option(name), value, "rad/s")
+    given = stated_rates(cutoff=cutoff, pll_bandwidth=pll_bandwidth)
     description = read_machine(machine)
-    for name in given:
-        if name in description.refused:
-            raise MachineError(
-                f"{_option(name)} is not for {machine}, whose kind is "
-                f'"{description.kind}": {description.refused[name]}.'
-            )
+    refuse_rates(given, description, machine)
     name = _prefix(machine) if prefix is None else prefix
     words = _command(
         machine, target, interval, dtype, name, given, substeps, missing, fixed
@@ -162,7 +153,7 @@ def exported_machine(
     columns = {"u": inputs, "y": signals.outputs}
     outputs = None
     if connect is not None and "pll_bandwidth" in fields:
-        bandwidth = rates["pll_bandwidth"].value
+        bandwidth = rates["pll_bandwidth"].constant
         if interval is not None and bandwidth > 0.5 / interval:
             raise MachineError(
                 f"the bandwidth of the phase-locked loop must be at most "
@@ -210,10 +201,6 @@ def _of_motor(estimate: Any) -> dict[str, Any]:
     return found if flux.covariance is None else found | {"covariance": flux.covariance}
 
 
-def _option(name: str) -> str:
-    return "--" + name.replace("_", "-")
-
-
 def _prefix(machine: Path) -> str:
     """The name of a file as one of C."""
     name = re.sub(r"\W", "_", machine.stem, flags=re.ASCII)
@@ -237,7 +224,7 @@ def _command(
         ["--variable-interval"] if interval is None else ["--interval", f"{interval:g}"]
     )
     words += ["--dtype", dtype, "--prefix", prefix]
-    words += [word for k, v in given.items() for word in (_option(k), f"{v:g}")]
+    words += [word for k, v in given.items() for word in (option(k), f"{v:g}")]
     words += ["--substeps", str(substeps), "--missing", missing]
     words += [word for name in fixed or () for word in ("--fixed", name)]
     return shlex.join([*words, "--out", "."])

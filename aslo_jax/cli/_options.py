@@ -118,6 +118,37 @@ def double_precision() -> None:
     jax.config.update("jax_enable_x64", True)
 
 
+def option(name: str) -> str:
+    """That of a key."""
+    return "--" + name.replace("_", "-")
+
+
+def stated_rates(**rates: float | None) -> dict[str, float]:
+    """Those that options give (rad/s), by key.
+
+    **Raises:** `ValueError` for one that is not positive."""
+    from .._checks import positive
+
+    given = {name: value for name, value in rates.items() if value is not None}
+    for name, value in given.items():
+        positive(option(name), value, "rad/s")
+    return given
+
+
+def refuse_rates(given: dict[str, float], description: Any, machine: Path) -> None:
+    """Refuse rates that the kind of a machine does not have.
+
+    **Raises:** [`MachineError`][]."""
+    from ..machines import MachineError
+
+    for name in given:
+        if name in description.refused:
+            raise MachineError(
+                f"{option(name)} is not for {machine}, whose kind is "
+                f'"{description.kind}": {description.refused[name]}.'
+            )
+
+
 def mapping(options: list[str] | None) -> dict[str, str]:
     """The columns of `--column`, by name.
 

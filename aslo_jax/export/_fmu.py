@@ -110,6 +110,18 @@ def _experiment(interval: float | None) -> str:
     return f"  <DefaultExperiment{_attributes(stepSize=interval or 1e-3)}/>"
 
 
+def _variable(v: Variable, **more: object) -> str:
+    """What both versions say of a variable."""
+    return _attributes(
+        name=v.name,
+        valueReference=v.reference,
+        description=v.about,
+        causality=v.causality,
+        variability="tunable" if v.causality == "parameter" else "discrete",
+        **more,
+    )
+
+
 def _head(version: str, prefix: str, **more: object) -> list[str]:
     given = _attributes(
         fmiVersion=version,
@@ -136,18 +148,10 @@ def _description2(
         "  <ModelVariables>",
     ]
     for v in known:
-        variability = "tunable" if v.causality == "parameter" else "discrete"
-        given = _attributes(
-            name=v.name,
-            valueReference=v.reference,
-            description=v.about,
-            causality=v.causality,
-            variability=variability,
-        )
         kind = "Boolean" if v.boolean else "Real"
         start = None if v.start is None else repr(v.start)
         value = f"<{kind}{_attributes(start=start)}/>"
-        lines.append(f"    <ScalarVariable{given}>{value}</ScalarVariable>")
+        lines.append(f"    <ScalarVariable{_variable(v)}>{value}</ScalarVariable>")
     outputs = "".join(
         f'<Unknown index="{v.reference + 1}"/>' for v in known if v.causality == "output"
     )
@@ -173,15 +177,7 @@ def _description3(
         "  <ModelVariables>",
     ]
     for v in known:
-        variability = "tunable" if v.causality == "parameter" else "discrete"
-        given = _attributes(
-            name=v.name,
-            valueReference=v.reference,
-            description=v.about,
-            causality=v.causality,
-            variability=variability,
-            start=None if v.start is None else repr(v.start),
-        )
+        given = _variable(v, start=None if v.start is None else repr(v.start))
         lines.append(f"    <{'Boolean' if v.boolean else 'Float64'}{given}/>")
     time = _attributes(
         name="time",

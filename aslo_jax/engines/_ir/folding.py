@@ -37,11 +37,11 @@ def _bits(x: Any) -> int:
     return int(x) % 2 ** (8 * x.dtype.itemsize)
 
 
-FOLD: dict[str, Callable[..., Any]] = {
+# Those that mean the same of numbers and, entry by entry, of arrays.
+UFUNCS: dict[str, Callable[..., Any]] = {
     "add": np.add,
     "sub": np.subtract,
     "mul": np.multiply,
-    "div": _quotient,
     "neg": np.negative,
     "abs": np.abs,
     "sqrt": np.sqrt,
@@ -52,17 +52,21 @@ FOLD: dict[str, Callable[..., Any]] = {
     "or": np.bitwise_or,
     "xor": np.bitwise_xor,
     "not": np.invert,
-    "shl": _shift(np.left_shift),
-    "lshr": _shift(lambda x, y: (x.view(f"u{x.dtype.itemsize}") >> int(y)).view(x.dtype)),
-    "ashr": _shift_of_sign,
-    "ones": lambda x: _bits(x).bit_count(),
-    "zeros": lambda x: 8 * x.dtype.itemsize - _bits(x).bit_length(),
     "eq": np.equal,
     "ne": np.not_equal,
     "lt": np.less,
     "le": np.less_equal,
     "gt": np.greater,
     "ge": np.greater_equal,
+}
+FOLD: dict[str, Callable[..., Any]] = {
+    **UFUNCS,
+    "div": _quotient,
+    "shl": _shift(np.left_shift),
+    "lshr": _shift(lambda x, y: (x.view(f"u{x.dtype.itemsize}") >> int(y)).view(x.dtype)),
+    "ashr": _shift_of_sign,
+    "ones": lambda x: _bits(x).bit_count(),
+    "zeros": lambda x: 8 * x.dtype.itemsize - _bits(x).bit_length(),
 }
 
 
