@@ -132,7 +132,7 @@ def braked(t):
 
 def test_it_is_flagged_once_it_is_not_known_to_the_tolerance():
     """At rest what is not known grows."""
-    t, u, y, flux = record(braked, 1.3, 4)
+    t, u, y, _ = record(braked, 1.3, 4)
     found = aslo.replay(observer(bank=5, tolerance=0.02), t, u, y)
     # The deviation of the flux of the magnet, over what it is.
     claimed = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2))

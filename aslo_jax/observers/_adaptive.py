@@ -69,10 +69,11 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
     - `tolerance`: what is not known of x may be so much of its size, for a motor that of
       the flux of its magnet, where the estimate is given without a flag.
 
-    The estimate is an [`AdaptiveEstimate`][]. It is `coasting` until the bank has started,
-    where it is not known to the `tolerance`, as at rest, and while a rival solution lives: at one constant slow speed, a motor with another
-    resistance whose magnet points the other way has the very same currents and voltages.
-    So it is while a parameter is found 5 of its `deviations` away: that is no solution.
+    The estimate is an [`AdaptiveEstimate`][]. It is `coasting` until the bank has started;
+    where it is not known to the `tolerance`, as at rest; and while a rival solution lives:
+    at one constant slow speed, a motor with another resistance whose magnet points the
+    other way has the very same currents and voltages. So it is while a parameter is found 5
+    of its `deviations` away: that is no solution.
     Its certificate is that of [`Lifted`][], and 0 before the start. Where a sample is
     missing it is carried along the known derivative, and says so; its covariance grows as
     if all that is held in place of the sample were wrong, and once x may be off by a tenth

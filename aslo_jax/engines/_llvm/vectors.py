@@ -11,8 +11,8 @@ from .writer import PARTIAL
 
 
 class Vectors:
-    """Of one way of a step, by its number, as parts in registers. `leaving`: where those are in the frame
-    that its record needs."""
+    """Of one way of a step, by its number, as parts in registers. `leaving`: where those
+    are in the frame that its record needs."""
 
     def __init__(self, values: Values, which: int) -> None:
         self.layout, self.out, self.graph = values.layout, values.out, values.graph
