@@ -1,6 +1,7 @@
 """Observers and linear systems of python-control and of SciPy, there and back."""
 
 from ._control import to_nlsys as to_nlsys
+from ._gem import from_gem as from_gem
 from ._linear import (
     LinearPlant as LinearPlant,
     kalman as kalman,
@@ -12,6 +13,7 @@ from ._linear import (
 
 __all__ = [
     "LinearPlant",
+    "from_gem",
     "kalman",
     "luenberger",
     "plant",
