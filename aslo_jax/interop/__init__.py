@@ -10,10 +10,18 @@ from ._linear import (
     to_control as to_control,
     to_scipy as to_scipy,
 )
+from ._motulator import from_motulator as from_motulator
+from ._motulator_observer import (
+    MotulatorObserver as MotulatorObserver,
+    MotulatorOutputs as MotulatorOutputs,
+)
 
 __all__ = [
     "LinearPlant",
+    "MotulatorObserver",
+    "MotulatorOutputs",
     "from_gem",
+    "from_motulator",
     "kalman",
     "luenberger",
     "plant",

@@ -54,8 +54,9 @@ def from_gem(env: Any, states: ArrayLike) -> Log:
     needed = ("i_sa", "i_sb", "i_sc", "u_sa", "u_sb", "u_sc", "epsilon", "omega")
     *phases, angle, speed = _columns(values, names, needed)
     truth = {"theta_electrical": np.unwrap(angle), "omega_mechanical": speed}
-    u, y = clarke(np.stack(phases[3:], axis=1)), clarke(np.stack(phases[:3], axis=1))
-    return Log(t, _earlier(u), y, truth)
+    i_abc, u_abc = (np.stack(three, axis=1) for three in (phases[:3], phases[3:]))
+    u = np.asarray(clarke(u_abc))[1:]
+    return Log(t, np.concatenate([u, u[-1:]]), np.asarray(clarke(i_abc)), truth)
 
 
 def _synchronous(
@@ -78,12 +79,7 @@ def _synchronous(
         flux = np.stack([direct, parameters["l_q"] * i_q], axis=1)
         truth["flux_alpha"], truth["flux_beta"] = inverse_park(flux, angle).T
     u = np.concatenate([u, u[-1:]])
-    return Log(t, u, inverse_park(current, angle), truth, angle)
-
-
-def _earlier(u: np.ndarray) -> np.ndarray:
-    """What a row says of the interval before it, at the beginning of that."""
-    return np.concatenate([u[1:], u[-1:]])
+    return Log(t, u, np.asarray(inverse_park(current, angle)), truth, angle)
 
 
 def _denormalised(
