@@ -1,5 +1,6 @@
 """Observers and linear systems of python-control and of SciPy, there and back."""
 
+from ._bag import from_bag as from_bag
 from ._control import to_nlsys as to_nlsys
 from ._gem import from_gem as from_gem
 from ._linear import (
@@ -20,6 +21,7 @@ __all__ = [
     "LinearPlant",
     "MotulatorObserver",
     "MotulatorOutputs",
+    "from_bag",
     "from_gem",
     "from_motulator",
     "kalman",
