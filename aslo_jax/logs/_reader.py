@@ -307,7 +307,7 @@ def read_log(
     remove_offset: str | None = None,
 ) -> Log:
     """Read the log `path`: text (.csv, .txt, .tsv, .dat, or one of these in .gz), .parquet,
-    .npz, .mat or .tdms.
+    .npz, .mat, .tdms, or a bag of ROS 1 or 2 (.bag, .mcap, .db3, or its folder).
 
     - `signals`: the columns to read, by default those of a motor;
     - `columns`: what the file calls a column, `{"u_alpha": "Ualpha"}`, where it is not
