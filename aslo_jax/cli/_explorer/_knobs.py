@@ -51,8 +51,8 @@ class Knob:
         low = 0.0 if self.scale == "zero-log" else self.low
         if not low <= value <= self.high:
             raise StateError(
-                f"`{self.key}` must be from {low:g} to {self.high:g} "
-                f"{self.unit}".rstrip() + f", but is {value:g}."
+                f"`{self.key}` must be from {low:g} to {self.high:g} {self.unit}".rstrip()
+                + f", but is {value:g}."
             )
         return value
 
@@ -111,7 +111,7 @@ CONDITIONS: dict[str, tuple[tuple[str, str, str, float, float], ...]] = {
     ),
     "double_integrator": (),
 }
-# By kind: unit and largest noise and offset of an output, of an input, largest dead time (V).
+# By kind: unit, largest noise and offset of an output, of an input; largest dead time (V).
 SIGNALS: dict[str, tuple[tuple[str, float, float], tuple[str, float, float], float]] = {
     "pmsm": (("A", 0.3, 0.3), ("V", 3.0, 3.0), 10.0),
     "wrim": (("A", 0.5, 0.5), ("V", 2.0, 2.0), 0.0),
@@ -209,7 +209,9 @@ def _signals(content: Mapping[str, Any], kind: str) -> Iterator[Knob]:
         return
     of = KINDS[kind].layout.signals
     pairs = (("sensor", of.outputs), ("input_sensor", of.inputs))
-    for (place, columns), (unit, noise, offset) in zip(pairs, SIGNALS[kind][:2], strict=True):
+    for (place, columns), (unit, noise, offset) in zip(
+        pairs, SIGNALS[kind][:2], strict=True
+    ):
         what = "outputs" if place == "sensor" else "inputs"
         deviation = noise_of(content, place)
         high = max(noise, deviation)
@@ -233,11 +235,10 @@ def noise_of(content: Mapping[str, Any], place: str) -> float:
 def _errors(machine: Mapping[str, Any], kind: str) -> Iterator[Knob]:
     """Of every parameter that may not be what the observers take it for."""
     study = studies()[kind]
-    for key, field in study.machine.model_fields.items():
+    for key in study.machine.model_fields:
         value = machine.get(key)
         if isinstance(value, int) or key in ("kind", "inertia") or not _nonzero(value):
             continue
-        del field
         label = key.replace("_", " ")
         yield Knob(f"error.{key}", label, "Parameter errors", 0.0, "1", -ERRORS, ERRORS)
 

@@ -85,7 +85,8 @@ class Result:
     def _panels(self, rows: slice) -> list[dict[str, Any]]:
         truth, names = self.machine.truth(self.log), list(self.columns)
         found = []
-        for quantity in self.machine.quantities:
+        # What follows from others, such as a speed from an angle from a flux, comes first.
+        for quantity in reversed(self.machine.quantities):
             wrap = _wrapped if quantity.angle else lambda x: x
             for column in quantity.columns:
                 lines = [
@@ -95,7 +96,8 @@ class Result:
                 ]
                 if column in truth:
                     lines.append(_line(None, wrap(truth[column][rows])))
-                title = column.replace("_", " ")
+                single = len(quantity.columns) == 1
+                title = quantity.name if single else column.replace("_", " ")
                 found.append(_panel(column, title, quantity.unit, lines, quantity.angle))
         errors = {name: self.error(name) for name in names}
         lines = [_line(n, e[rows]) for n, e in errors.items() if e is not None]
@@ -176,7 +178,12 @@ def _line(observer: str | None, values: Any) -> dict[str, Any]:
 
 
 def _panel(
-    key: str, title: str, unit: str, lines: list[Any], wraps: bool = False, log: bool = False
+    key: str,
+    title: str,
+    unit: str,
+    lines: list[Any],
+    wraps: bool = False,
+    log: bool = False,
 ) -> dict[str, Any]:
     return {
         "id": key,

@@ -193,8 +193,8 @@ def drawn(tolerances: Spread, seed: int) -> list[tuple[Any, np.ndarray]]:
     for each in tolerances.parameters.values():
         last = first + each.distribution.dimension
         values = each.distribution.quantiles(points[:, first:last])
-        single = isinstance(each.where, str) or callable(each.where)
-        wheres = [each.where] if single else each.where
+        where: Any = each.where
+        wheres = [where] if isinstance(where, str) or callable(where) else where
         found += zip(wheres, values.T, strict=True)
         first = last
     return found

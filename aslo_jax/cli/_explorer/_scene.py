@@ -36,14 +36,18 @@ class Scene:
     """A source that is simulated.
 
     - `title`: what it is; `content`: that of its study, every key of it that is moved
-      there; `observers`: the names of those that are shown at first;
-    - `tolerances`: what of its spread is relative, and so about any value.
+      there; `observers`: the names of those that are shown at first.
     """
 
     title: str
     content: Mapping[str, Any]
     observers: tuple[str, ...]
-    tolerances: Spread
+
+    @functools.cached_property
+    def tolerances(self) -> Spread:
+        """What of its spread is relative, and so about any value."""
+        parameters = configure(self.content).spread.parameters
+        return Spread({n: p for n, p in parameters.items() if p.relative})
 
     @property
     def kind(self) -> str:
@@ -147,7 +151,7 @@ def scene_of(content: Mapping[str, Any], title: str | None = None) -> Scene:
     kind = new["machine"]["kind"]
     if kind not in READY:
         raise ConfigurationError(
-            f'`machine.kind` must be one of {", ".join(READY)} to be explored, but is '
+            f"`machine.kind` must be one of {', '.join(READY)} to be explored, but is "
             f'"{kind}".'
         )
     observers = dict(new["observers"])
@@ -171,10 +175,10 @@ def scene_of(content: Mapping[str, Any], title: str | None = None) -> Scene:
     if knobs.SIGNALS[kind][2]:
         _in_a_chain(new, "actuator")
         new["actuator"] = [*map(dict, new.get("actuator", ())), dict(DEAD_TIME)]
-    _complete(new)
-    whole = configure(new)
-    relative = {n: p for n, p in whole.spread.parameters.items() if p.relative}
-    return Scene(title or whole.title, new, first, Spread(relative))
+    _complete(new, ready_made=title is not None)
+    if title is None:  # those that are ready made are right
+        title = configure(new).title
+    return Scene(title, new, first)
 
 
 def _in_a_chain(content: dict[str, Any], place: str) -> None:
@@ -189,12 +193,14 @@ def _in_a_chain(content: dict[str, Any], place: str) -> None:
         item["where"] = [renamed(w) for w in where] if several else renamed(where)
 
 
-def _complete(content: dict[str, Any]) -> None:
-    """Say what a file leaves to defaults, and knobs move."""
+def _complete(content: dict[str, Any], *, ready_made: bool) -> None:
+    """Say what a file leaves to defaults, and knobs move. A ready-made motor turns from the
+    start, since at standstill nothing shows its flux."""
     machine = content["machine"]
     initial = {k: v for k, v in (machine.get("initial") or {}).items() if v is not None}
     if machine["kind"] in ("pmsm", "wrim"):
-        initial = {"speed": 0.0, "angle": 0.0} | initial
+        speed = knobs.at(content, "control.reference.offset") if ready_made else None
+        initial = {"speed": speed or 0.0, "angle": 0.0} | initial
         machine["load"] = {"offset": 0.0} | (machine.get("load") or {})
     if machine["kind"] == "magnetic_bearing":
         initial = {"position": 0.0} | initial

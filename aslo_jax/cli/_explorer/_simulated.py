@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ...described import machine_of
 from ...logs import Log
-from ...machines import AbstractDescription
+from ...machines import AbstractDescription, machine_of
 from ...machines._base import Columns, Rate, Rates
 from ...observers import Estimate
 from .._table import Estimator
@@ -76,7 +75,8 @@ class Simulated:
         keys = {
             k: v
             for k, v in keys.items()
-            if v is not None and (k in known or v != defaults.get(k))
+            if v is not None
+            and (k in known or v != defaults.get(k))
             and not (k == "start" and v == "exact" and k not in known)
         }
         refused = [k for k in keys if k not in known]
@@ -84,7 +84,7 @@ class Simulated:
         if not allowed or refused:
             why = f"`{refused[0]}`" if allowed else f'an observer of the kind "{kind}"'
             raise StateError(
-                f"A machine description of the kind \"{base.kind}\" cannot say {why}, as "
+                f'A machine description of the kind "{base.kind}" cannot say {why}, as '
                 f"{name} has it; export the study instead, which can."
             )
         if LOOP in state.values:
@@ -171,4 +171,3 @@ def _table(
 def _divisor(steps: int, about: int) -> int:
     """The largest divisor of `steps` that is at most `about`."""
     return next(k for k in range(about, 0, -1) if steps % k == 0)
-
