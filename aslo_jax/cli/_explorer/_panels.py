@@ -85,8 +85,9 @@ class Result:
     def _panels(self, rows: slice) -> list[dict[str, Any]]:
         truth, names = self.machine.truth(self.log), list(self.columns)
         found = []
-        # What follows from others, such as a speed from an angle from a flux, comes first.
-        for quantity in reversed(self.machine.quantities):
+        # What is asked for most comes first: angle and speed of a motor, not its flux.
+        derived = lambda q: not (q.angle or q.tracks is not None)
+        for quantity in sorted(self.machine.quantities, key=derived):
             wrap = _wrapped if quantity.angle else lambda x: x
             for column in quantity.columns:
                 lines = [

@@ -28,7 +28,7 @@ from ._panels import Result, band_of
 from ._programs import POINTS, RUNS, drawn
 from ._state import State, StateError
 
-FILE = "as in the file"
+FILE = "machine file"
 SUBSTEPS = 4  # as `aslo-jax estimate` has them
 BANDS = 20_000  # rows, at most, of a log with a band
 USUAL_TOLERANCE = 0.05  # relative deviation of a parameter of which no study says more

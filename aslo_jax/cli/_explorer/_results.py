@@ -60,7 +60,9 @@ class Results:
                 for name, band in found.items()
             ]
             label_ = unit(data["error"])
-            panels.append(_panel("error", "error, norm", label_, "t (s)", lines))
+            panels.append(
+                _panel("error", "error, norm: median, 5 to 95 %", label_, "t (s)", lines)
+            )
         sizes = {m: {o: magnitude(data, m, o) for o in observers} for m in every}
         shares = packed(100.0 * SHARES)
         for metric, each in sizes.items():

@@ -195,13 +195,15 @@ def _in_a_chain(content: dict[str, Any], place: str) -> None:
 
 def _complete(content: dict[str, Any], *, ready_made: bool) -> None:
     """Say what a file leaves to defaults, and knobs move. A ready-made motor turns from the
-    start, since at standstill nothing shows its flux."""
+    start, without a load that would stall it: at standstill nothing shows its flux."""
     machine = content["machine"]
     initial = {k: v for k, v in (machine.get("initial") or {}).items() if v is not None}
     if machine["kind"] in ("pmsm", "wrim"):
         speed = knobs.at(content, "control.reference.offset") if ready_made else None
         initial = {"speed": speed or 0.0, "angle": 0.0} | initial
-        machine["load"] = {"offset": 0.0} | (machine.get("load") or {})
+        load = dict(machine.get("load") or {})
+        free = ready_made and machine["kind"] == "pmsm"
+        machine["load"] = load | {"offset": 0.0} if free else {"offset": 0.0} | load
     if machine["kind"] == "magnetic_bearing":
         initial = {"position": 0.0} | initial
     machine["initial"] = initial

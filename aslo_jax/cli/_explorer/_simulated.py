@@ -1,14 +1,13 @@
 """A simulated source: its run, its band, and its observers as descriptions of a machine."""
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...logs import Log
 from ...machines import AbstractDescription, machine_of
 from ...machines._base import Columns, Rate, Rates
-from ...observers import Estimate
 from .._table import Estimator
 from . import _programs as programs
 from ._knobs import LOOP
@@ -16,6 +15,15 @@ from ._panels import Result, band_of
 from ._programs import Programs
 from ._scene import Moved, Scene
 from ._state import State, StateError
+
+
+class _Estimate(NamedTuple):
+    """An estimate, in arrays of NumPy."""
+
+    value: np.ndarray
+    certificate: np.ndarray
+    coasting: np.ndarray
+    covariance: None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,7 +166,7 @@ def _table(
     if not rates:
         names = _entries(machine)
         return dict(zip(names, estimate["value"].T, strict=True)) | alike
-    found = Estimate(estimate["value"], estimate["certificate"], estimate["coasting"])
+    found = _Estimate(estimate["value"], estimate["certificate"], estimate["coasting"])
     observed = lambda t, u, y: found
     estimator = Estimator(machine, rates, log.t, observed=observed)
     columns = estimator(log).columns

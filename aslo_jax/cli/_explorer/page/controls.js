@@ -44,6 +44,7 @@ export function made(tag, attributes = {}, ...children) {
 export function build(root, knobs, values, observers, { moved, tune, tunes }) {
   const open = new Map([...root.querySelectorAll("details")].map((d) => [d.dataset.group, d.open]));
   root.replaceChildren();
+  const narrow = matchMedia("(max-width: 62rem)").matches;
   const groups = new Map();
   for (const knob of knobs) {
     if (!groups.has(knob.group)) groups.set(knob.group, []);
@@ -51,7 +52,7 @@ export function build(root, knobs, values, observers, { moved, tune, tunes }) {
   }
   for (const [name, members] of groups) {
     const details = made("details", { "data-group": name }, made("summary", {}, name));
-    details.open = open.get(name) ?? !CLOSED.includes(name);
+    details.open = open.get(name) ?? !(narrow || CLOSED.includes(name));
     for (const knob of members) {
       details.append(knob.scale === "choice" ? choice(knob, values, moved) : slider(knob, values, moved));
     }
