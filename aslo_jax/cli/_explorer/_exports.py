@@ -53,13 +53,13 @@ def estimates_text(result: Result) -> str:
     for name, table in result.columns.items():
         for column, values in table.items():
             if column != "t":
-                columns[f"{column} ({name})"] = values
+                columns[f"{column} ({name.replace(',', '')})"] = values
     return csv_text(columns | result.machine.truth(result.log))
 
 
 def csv_text(columns: Mapping[str, np.ndarray]) -> str:
     """Columns as CSV; numbers are read back as they are."""
-    header = ",".join(f'"{n}"' if "," in n else n for n in columns)
+    header = ",".join(columns)
     rows = zip(*(x.tolist() for x in columns.values()), strict=True)
     lines = (",".join(map(repr, row)) for row in rows)
     return "\n".join([header, *lines, ""])

@@ -50,8 +50,11 @@ function pump(what, arrived) {
 }
 
 const pumpRun = pump("run", (found) => {
+  const first = run === null;
   run = found;
   redraw();
+  // The band compiles a loop of its own: after the plot, not beside it.
+  if (first && state.source !== "results") pumpBand();
   if (found.n === number) document.body.dataset.busy = "false";
   say();
 });
@@ -70,7 +73,7 @@ function request(settled = true) {
   document.body.dataset.busy = "true";
   pumpRun();
   clearTimeout(bandTimer);
-  if (state.source === "results") return keepAddress();
+  if (state.source === "results" || run === null) return keepAddress();
   // A log is replayed by all runs at every row: once the slider rests.
   if (state.source === "log" && !settled) bandTimer = setTimeout(pumpBand, 250);
   else pumpBand();
@@ -87,6 +90,11 @@ function problem(error) {
   $("problem").textContent = text;
   $("problem").hidden = !text;
   if (text) $("status").textContent = "What is drawn belongs to the settings before.";
+}
+
+function notice(text) {
+  $("notice").textContent = $("announce").textContent = text;
+  $("notice").hidden = !text;
 }
 
 // Sources, observers and knobs of the state as it is now.
@@ -159,6 +167,7 @@ function style(name) {
 }
 
 function moved(key, value, settled) {
+  notice("");
   if (value === null) delete state.values[key];
   else state.values[key] = value;
   request(settled);
@@ -346,9 +355,8 @@ async function openSample(index) {
     const found = await get("sample", `index=${index}`);
     state = read(found.query);
     await load();
-    const left = found.left.length ? ` without ${found.left.join(", ")}` : "";
-    $("problem").textContent = `Sample ${index} of the study, with other noise${left}.`;
-    $("problem").hidden = false;
+    const left = found.left.length ? `, and without ${found.left.join(", ")}` : "";
+    notice(`Sample ${index} of the study, with other noise${left}.`);
   } catch (error) {
     problem(error);
   }
@@ -361,6 +369,7 @@ function sheet() {
 
 $("source").addEventListener("change", () => {
   state = read(`source=${encodeURIComponent($("source").value)}`);
+  notice("");
   load();
 });
 $("horizon").addEventListener("change", () => { state.horizon = $("horizon").value; request(); });

@@ -56,8 +56,11 @@ export function draw(context, panel, width, height, colours, style, cursor) {
   context.rect(area.left, area.top, area.width, area.height);
   context.clip();
   if (panel.bands) for (const [name, band] of Object.entries(panel.bands.of)) {
-    ribbon(context, panel.bands.t, band.low, band.high, X, Y, panel, style(name).colour);
-    stroke(context, panel.bands.t, band.middle, X, Y, panel, style(name).colour, 1, [2, 2], 0.8);
+    // Fainter while it is that of the settings before.
+    const strength = panel.bands.old ? 0.4 : 1;
+    const { colour } = style(name);
+    ribbon(context, panel.bands.t, band.low, band.high, X, Y, panel, colour, strength);
+    stroke(context, panel.bands.t, band.middle, X, Y, panel, colour, 1, [2, 2], 0.8 * strength);
   }
   for (const line of panel.lines) {
     if (line.low) ribbon(context, line.x, line.low, line.high, X, Y, panel, style(line.observer).colour);
@@ -151,10 +154,10 @@ function stroke(context, x, y, X, Y, panel, colour, width, dash, alpha) {
   context.globalAlpha = 1;
 }
 
-function ribbon(context, x, low, high, X, Y, panel, colour) {
-  const bound = (y, other) => (seen(y, panel.log) ? y : y > 0 ? panel.y.high : panel.y.low);
+function ribbon(context, x, low, high, X, Y, panel, colour, strength = 1) {
+  const bound = (y) => (seen(y, panel.log) ? y : y > 0 ? panel.y.high : panel.y.low);
   context.fillStyle = colour;
-  context.globalAlpha = 0.16;
+  context.globalAlpha = 0.16 * strength;
   context.beginPath();
   for (let k = 0; k < x.length; k++) {
     const [px, py] = [X(x[k]), Y(bound(high[k]))];

@@ -40,7 +40,7 @@ class Browser:
         )
         command = f"exec {path} {options} 3<&{ours[0]} 4>&{theirs[1]}"
         self._process = subprocess.Popen(
-            ["/bin/sh", "-c", command],
+            ["bash", "-c", command],
             pass_fds=(ours[0], theirs[1]),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
