@@ -241,6 +241,60 @@ def test_the_exported_files_give_the_same_estimate_on_the_command_line(
     assert float(rows[-1][column]) == table["flux_beta"][-1]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["wrim", "robotic_leg", "ball_beam"])
+def test_so_do_those_of_other_machines_and_no_slider_compiles(
+    kind, session, saved, capsys, tmp_path
+):
+    source = session.source(State(kind))
+    horizon = 200 * source.scene.content["interval"]
+    state = State(kind, ("ASLO",), horizon, seed=2)
+    found = session.run(state)
+    session.band(state)
+    traced = session.programs.traced
+    values = {}
+    for knob in source.scene.knobs(state):
+        if not knob.options:
+            share = 0.45 if knob.scale != "log" else 0.6
+            value = (
+                knob.low * (knob.high / knob.low) ** share
+                if knob.scale == "log"
+                else (knob.low + share * (knob.high - knob.low))
+            )
+            values[knob.key] = value if knob.group != "Noise" else knob.default
+    moved = State(kind, ("ASLO",), horizon, seed=2, values=values)
+    assert drawing(session.run(moved)) != drawing(found)
+    session.band(moved)
+    assert session.programs.traced == traced
+    code, *_ = run(capsys, *saved(session, moved, "ASLO"), "--outliers", "keep")
+    assert code == 0
+    told = read_csv(tmp_path / "estimate.csv")
+    drawn = source.result(moved).columns["ASLO"]
+    for name in set(drawn) - {"certificate", "coasting"}:
+        size = np.abs(drawn[name]).max()
+        np.testing.assert_allclose(told[name], drawn[name], rtol=0, atol=1e-8 * size)
+
+
+@pytest.mark.slow
+def test_a_magnetic_bearing_runs(session):
+    state = State("magnetic_bearing", horizon=0.02)
+    ids = [panel["id"] for panel in session.run(state)["panels"]]
+    assert ids == [
+        "error",
+        "flux_1",
+        "flux_2",
+        "position",
+        "velocity",
+        "residual_flux",
+        "certificate",
+    ]
+    traced = session.programs.traced
+    session.run(
+        State("magnetic_bearing", horizon=0.02, values={"observers.ASLO.cutoff": 5e3})
+    )
+    assert session.programs.traced == traced
+
+
 def test_what_no_description_says_is_refused(session):
     state = State("pmsm", ("FO1",))
     with pytest.raises(StateError, match='cannot say an observer of the kind "fo1"'):
@@ -321,7 +375,7 @@ def test_the_results_of_a_study_are_drawn(stored, whole):
     np.testing.assert_allclose(unpacked(other), whole["parameter_speed"], rtol=1e-6)
     with pytest.raises(StateError, match="`parameter` must be one of rate, speed, noise"):
         session.against("mass")
-    with pytest.raises(StateError, match="cannot be run here"):
+    with pytest.raises(StateError, match="cannot be run here: it was not made from a"):
         session.sample(0)
 
 

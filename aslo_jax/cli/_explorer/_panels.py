@@ -138,15 +138,15 @@ class Result:
             error = self.error(name)
             row: dict[str, Any] = {"observer": name}
             if error is not None:
-                row["rms"] = _number(np.sqrt(np.mean(np.square(error[late]))))
-                row["peak"] = _number(np.max(error[late]))
+                row["rms"] = number(np.sqrt(np.mean(np.square(error[late]))))
+                row["peak"] = number(np.max(error[late]))
             if "theta_electrical" in truth:
                 angle = columns["theta_electrical"] - truth["theta_electrical"]
                 rms = np.sqrt(np.mean(np.square(_wrapped(angle[late]))))
-                row["angle"] = _number(DEGREES * rms)
+                row["angle"] = number(DEGREES * rms)
             residual = [np.mean(x[late]) for x in self._residuals(name).values()]
-            row["residual"] = _number(np.max(residual)) if residual else None
-            row["certified"] = _number(np.mean(columns["coasting"] == 0))
+            row["residual"] = number(np.max(residual)) if residual else None
+            row["certified"] = number(np.mean(columns["coasting"] == 0))
             rows.append(row)
         return rows
 
@@ -201,6 +201,6 @@ def _wrapped(angle: Any) -> Any:
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
-def _number(x: Any) -> float | None:
+def number(x: Any) -> float | None:
     """With four digits; nothing where it is not finite."""
     return float(f"{float(x):.4g}") if np.isfinite(x) else None

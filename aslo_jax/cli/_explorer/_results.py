@@ -34,9 +34,11 @@ class Results:
         self.scene: Scene | None = None
         self.why = ""
         try:
+            if "machine" not in self.content:
+                raise ValueError("it was not made from a file of `aslo-jax study`.")
             self.scene = scene_of(_without_none(self.content))
-        except (ValueError, KeyError, TypeError) as error:
-            self.why = f"its samples cannot be run here: {error}"
+        except ValueError as error:
+            self.why = f"The samples of this study cannot be run here: {error}"
         self.title = self.content.get("title", self.name)
 
     def drawn(self, parameter: str | None = None) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from ._newest import Newest
+from ._panels import number
 from ._programs import Programs
 from ._scene import READY, ready
 from ._simulated import Simulated
@@ -180,8 +181,8 @@ class Session:
         return {
             "observer": name,
             "values": values,
-            "before": found.rms_before,
-            "after": found.rms_after,
+            "before": number(found.rms_before),
+            "after": number(found.rms_after),
             "improved": bool(found.improved),
         }
 

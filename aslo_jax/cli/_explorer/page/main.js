@@ -9,6 +9,8 @@ import { pruned, read, written } from "./state.js";
 
 const $ = (id) => document.getElementById(id);
 const client = crypto.randomUUID();
+// What takes longer than a second or two to compile.
+const SLOW = { adaptive: " (half a minute to compile)" };
 const SETTLED = 700; // ms without a change, after which it is said aloud
 
 let state = read(location.search);
@@ -155,7 +157,7 @@ function observerBoxes() {
       load();
     });
     const { colour, dash } = style(each.name);
-    root.append(made("div", { class: "observer" }, box, swatch(colour, dash), made("label", { for: box.id }, each.name)));
+    root.append(made("div", { class: "observer" }, box, swatch(colour, dash), made("label", { for: box.id }, each.name, SLOW[each.kind] ?? "")));
     if (each.name === focused) box.focus();
   }
 }
@@ -241,7 +243,7 @@ function digest(panels) {
 }
 
 function figureOf(id) {
-  const caption = made("span"), told = made("output");
+  const caption = made("span"), told = made("span", { class: "told", "aria-hidden": "true" });
   const canvas = made("canvas", { tabindex: "0", role: "img", "data-panel": id });
   const root = made("figure", {}, made("figcaption", {}, caption, told), canvas);
   const figure = { root, caption, told, canvas, panel: null, area: null };
