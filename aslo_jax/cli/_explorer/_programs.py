@@ -109,9 +109,9 @@ class Programs:
         with self._lock:
             found = next((p for p in self._programs if p.suits(wanted)), None)
             if found is None:
-                runner = Runner(
-                    self._make(layout, moved), like, steps, every=every, record=record
-                )
+                shapes_of = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in like]
+                make = self._make(layout, moved)
+                runner = Runner(make, shapes_of, steps, every=every, record=record)
                 found = _Program(runner, *wanted)
             else:
                 self._programs.remove(found)
