@@ -2,6 +2,7 @@
 
 import base64
 import csv
+import dataclasses
 import http.client
 import io
 import json
@@ -13,8 +14,14 @@ import numpy as np
 import pytest
 from test_cli import LOG, MOTOR, read_csv, refusal, run
 
-from aslo_jax.cli._explorer import _exports as exports, _knobs as knobs, _server
+from aslo_jax.cli._explorer import (
+    _exports as exports,
+    _knobs as knobs,
+    _programs as programs,
+    _server,
+)
 from aslo_jax.cli._explorer._newest import Newest, StaleError
+from aslo_jax.cli._explorer._panels import Result
 from aslo_jax.cli._explorer._recorded import FILE, Recorded
 from aslo_jax.cli._explorer._results import Results
 from aslo_jax.cli._explorer._scene import PRINTED, ready
@@ -183,6 +190,19 @@ def test_a_parameter_error_is_of_the_plant_and_not_of_the_description(session):
     machine = source.described(state, "ASLO").machine
     assert machine.resistance == 8.875
     assert source.scene.moved(state).errors["resistance"] == 0.2
+    layout = programs.layout_of(source.scene.moved(state), 0)
+    true = dict(zip(layout.paths, layout.leaves, strict=True))
+    assert true["plant.resistance"] == pytest.approx(1.2 * 8.875)
+    assert true["observers.ASLO.relation.resistance"] == 8.875
+    # It starts without current, and so does each run of a band.
+    lanes = programs.band_lanes(layout, source.scene.tolerances, 0, 1.0)
+    numbers = [p for p, x in true.items() if programs.is_number(x)]
+    every = dict(zip(numbers, lanes, strict=True))
+    for leaves in (true, every):
+        start = np.linalg.norm(leaves["initial.flux"], axis=-1)
+        np.testing.assert_allclose(start, leaves["plant.magnet_flux"], rtol=1e-12)
+    assert np.std(every["plant.magnet_flux"]) > 0.01 * 0.2086
+    assert np.ptp(every["observers.ASLO.relation.resistance"]) == 0.0
     content = exports.study_content(source.scene.moved(state), 1.0)
     whole = configure(content)
     resistance = whole.spread.parameters["resistance"].distribution
@@ -354,6 +374,20 @@ def test_the_band_of_a_log_is_of_parameters_that_are_taken_for_others(recorded):
     assert exact["low"] == exact["high"]
     wide = recorded.band(State("log"))["bands"][FILE]
     assert unpacked(wide["high"])[-1] > 10.0 * unpacked(exact["high"])[-1]
+
+
+def test_a_log_without_truth_has_a_band_and_no_error(recorded):
+    machine, log = recorded.recorded.machine, recorded.recorded.log
+    blind = dataclasses.replace(log, truth={})
+    found = Result(
+        blind, {FILE: recorded.recorded.result(State("log")).columns[FILE]}, machine
+    )
+    drawn = found.drawn()
+    panels = {panel["id"]: panel for panel in drawn["panels"]}
+    assert np.isnan(unpacked(panels["error"]["lines"][0]["values"])).all()
+    assert "angle_error" not in panels
+    assert drawn["table"][0].keys() == {"observer", "residual", "certified"}
+    assert drawn["table"][0]["certified"] > 0.9
 
 
 # Results of a study.

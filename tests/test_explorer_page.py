@@ -1,5 +1,6 @@
 """The page of the explorer in headless Chromium, by its keyboard and its address."""
 
+import contextlib
 import json
 import os
 import re
@@ -45,11 +46,17 @@ def command(*arguments, cwd=None, **settings):
     )
 
 
+@contextlib.contextmanager
 def started(*arguments):
-    """A running explorer and its address."""
+    """A running explorer and its address; it does not outlive its test."""
     process = command("explore", "--no-browser", *arguments)
-    assert process.stdout is not None
-    return process, process.stdout.readline().split()[0]
+    try:
+        assert process.stdout is not None
+        yield process, process.stdout.readline().split()[0]
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
 
 
 def ended(process) -> str:
@@ -62,9 +69,9 @@ def ended(process) -> str:
 
 @pytest.fixture(scope="module")
 def explorer():
-    process, address = started()
-    yield address
-    assert ended(process) == "aslo-jax: interrupted\n"
+    with started() as (process, address):
+        yield address
+        assert ended(process) == "aslo-jax: interrupted\n"
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +83,7 @@ def browser():
 
 @pytest.fixture
 def page(browser, explorer):
-    browser.open(f"{explorer}?horizon=0.1")
+    browser.open(explorer)
     browser.wait(f"{DRAWN} && {IDLE} && document.body.dataset.banded > 0")
     return browser
 
@@ -270,20 +277,22 @@ def test_tuning_from_here_moves_the_slider(page):
 
 
 def test_a_log_of_ones_own_is_opened(browser):
-    process, address = started(LOG, "--machine", MOTOR)
-    browser.open(address)
-    browser.wait(f"{DRAWN} && {IDLE} && document.body.dataset.banded > 0")
-    assert browser.value("document.getElementById('source').value") == "log"
-    assert "pmsm_log.csv" in browser.value("document.title")
-    digest = browser.value("document.body.dataset.digest")
-    focus(browser, "error.resistance")
-    browser.press("ArrowRight", 50)
-    browser.wait(f"document.body.dataset.digest !== '{digest}' && {IDLE}")
-    assert ended(process) == "aslo-jax: interrupted\n"
-    # Without the program, the page says so at the next change.
-    browser.press("ArrowRight", 1)
-    browser.wait("!document.getElementById('problem').hidden")
-    assert "has ended" in browser.value("document.getElementById('problem').textContent")
+    with started(LOG, "--machine", MOTOR) as (process, address):
+        browser.open(address)
+        browser.wait(f"{DRAWN} && {IDLE} && document.body.dataset.banded > 0")
+        assert browser.value("document.getElementById('source').value") == "log"
+        assert "pmsm_log.csv" in browser.value("document.title")
+        digest = browser.value("document.body.dataset.digest")
+        focus(browser, "error.resistance")
+        browser.press("ArrowRight", 50)
+        browser.wait(f"document.body.dataset.digest !== '{digest}' && {IDLE}")
+        assert ended(process) == "aslo-jax: interrupted\n"
+        # Without the program, the page says so at the next change.
+        browser.press("ArrowRight", 1)
+        browser.wait("!document.getElementById('problem').hidden")
+        assert "has ended" in browser.value(
+            "document.getElementById('problem').textContent"
+        )
 
 
 def test_a_study_is_opened_and_its_worst_sample_run(browser, tmp_path):
@@ -296,23 +305,36 @@ def test_a_study_is_opened_and_its_worst_sample_run(browser, tmp_path):
     process = command("study", tmp_path / "short.toml", *quiet)
     _, said = process.communicate(timeout=300)
     assert process.returncode == 0, said
-    process, address = started(tmp_path / "out")
-    browser.open(address)
-    browser.wait(f"{DRAWN} && {IDLE}")
-    panels = json.loads(
-        browser.value(
-            "JSON.stringify([...document.querySelectorAll('canvas')]"
-            ".map((c) => c.dataset.panel))"
+    with started(tmp_path / "out") as (process, address):
+        browser.open(address)
+        browser.wait(f"{DRAWN} && {IDLE}")
+        panels = json.loads(
+            browser.value(
+                "JSON.stringify([...document.querySelectorAll('canvas')]"
+                ".map((c) => c.dataset.panel))"
+            )
         )
-    )
-    assert panels == ["error", "rms", "peak", "settling", "coasting", "scatter"]
-    worst = browser.value("document.querySelector('tbody button').textContent")
-    browser.value("document.querySelector('tbody button').click()")
-    browser.wait("location.search.includes('source=study')")
-    browser.wait(f"{IDLE} && document.querySelectorAll('[data-panel=certificate]').length")
-    assert f"Sample {worst} of the study" in browser.value(
-        "document.getElementById('notice').textContent"
-    )
-    assert "error.resistance" in query(browser)
-    assert "control.reference.offset" in query(browser)
-    ended(process)
+        assert panels == ["error", "rms", "peak", "settling", "coasting", "scatter"]
+        worst = browser.value("document.querySelector('tbody button').textContent")
+        browser.value("document.querySelector('tbody button').click()")
+        browser.wait("location.search.includes('source=study')")
+        browser.wait(
+            f"{IDLE} && document.querySelectorAll('[data-panel=certificate]').length"
+        )
+        assert f"Sample {worst} of the study" in browser.value(
+            "document.getElementById('notice').textContent"
+        )
+        assert "error.resistance" in query(browser)
+        assert "control.reference.offset" in query(browser)
+        ended(process)
+
+
+def test_a_wrong_address_is_told_and_reset(browser, explorer):
+    browser.open(f"{explorer}?source=nothing")
+    problem = "document.getElementById('problem')"
+    browser.wait(f"{problem} && !{problem}.hidden")
+    assert "`source` must be one of pmsm" in browser.value(f"{problem}.textContent")
+    browser.value("document.getElementById('reset').click()")
+    browser.wait(f"{DRAWN} && {IDLE}")
+    assert browser.value(f"{problem}.hidden")
+    assert browser.value("document.getElementById('source').value") == "pmsm"

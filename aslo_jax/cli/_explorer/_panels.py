@@ -102,8 +102,12 @@ class Result:
                 found.append(_panel(column, title, quantity.unit, lines, quantity.angle))
         errors = {name: self.error(name) for name in names}
         lines = [_line(n, e[rows]) for n, e in errors.items() if e is not None]
-        error = _panel("error", "error, norm", self.unit(), lines, log=True)
-        found.insert(0, error)
+        title = "error, norm"
+        if not lines:  # the band alone, of how far its runs are from each other
+            title = "distance of the runs from their median"
+            nothing = np.full(self.log.t[rows].size, np.nan)
+            lines = [_line(name, nothing) for name in names]
+        found.insert(0, _panel("error", title, self.unit(), lines, log=True))
         if "theta_electrical" in truth:
             error = lambda n: _wrapped(
                 self.columns[n]["theta_electrical"] - truth["theta_electrical"]

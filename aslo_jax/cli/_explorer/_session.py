@@ -71,7 +71,7 @@ class Session:
         if self.recorded is not None:
             title = f"Log: {self.recorded.name}"
             sources.insert(0, {"id": "log", "title": title})
-        found: dict[str, Any] = {"sources": sources, "query": state.query()}
+        found: dict[str, Any] = {"sources": sources, "source": state.source}
         if state.source == "results" and self.results is not None:
             return found | {
                 "title": self.results.title,
@@ -119,7 +119,7 @@ class Session:
         begun = time.perf_counter()
         found = self.source(state).result(state).drawn()
         found["seconds"] = round(time.perf_counter() - begun, 4)
-        return found | {"traced": self.programs.traced, "query": state.query()}
+        return found | {"traced": self.programs.traced}
 
     def band(self, state: State) -> dict[str, Any]:
         """The band of a state."""

@@ -44,7 +44,8 @@ class Simulated:
         machine = machine_of(moved.content)
         log = _log(machine, moved, run)
         rates = self._rates(state, machine)
-        tables = {n: _table(machine, rates, log, e) for n, e in run["estimates"].items()}
+        estimates, chosen = run["estimates"], self.scene.chosen(state)
+        tables = {n: _table(machine, rates, log, estimates[n]) for n in chosen}
         return Result(log, tables, machine, self._scale())
 
     def band(self, state: State) -> dict[str, Any]:

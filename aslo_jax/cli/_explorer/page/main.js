@@ -110,7 +110,7 @@ async function load() {
     return;
   }
   problem("");
-  state.source = new URLSearchParams(about.query).get("source");
+  state.source = about.source;
   state = pruned(state, about.knobs);
   looks = new Map(about.observers.map((each, k) => [each.name, k]));
   document.title = `${about.title} – aslo_jax explorer`;
@@ -291,7 +291,7 @@ function paint(figure) {
   figure.area = draw(context, panel, width, height, theme(), style, cursor);
   const unit = panel.unit && panel.unit !== "1" ? ` (${panel.unit})` : "";
   figure.caption.textContent = `${panel.title}${unit}${bandText(panel)}`;
-  figure.told.textContent = cursor === null ? "" : readout(panel, cursor);
+  figure.told.textContent = cursor === null ? "" : `at ${shown(cursor)}:  ${readout(panel, cursor)}`;
   canvas.setAttribute("aria-label", described(panel));
 }
 
@@ -299,7 +299,7 @@ function paint(figure) {
 function clipped(panel) {
   if (panel.log) return "";
   const out = (x) => x < panel.y.low || x > panel.y.high;
-  return panel.lines.some((line) => line.values.some(out)) ? ", beyond the axis in part" : "";
+  return panel.lines.some((line) => line.values.some(out)) ? ", clipped" : "";
 }
 
 function bandText(panel) {
@@ -337,7 +337,7 @@ function say() {
   $("status").textContent = parts.join("  ·  ");
   clearTimeout(aloudTimer);
   aloudTimer = setTimeout(() => {
-    const told = (run.table ?? []).filter((row) => row.rms !== undefined && row.rms !== null);
+    const told = (run?.table ?? []).filter((row) => row.rms !== undefined && row.rms !== null);
     $("announce").textContent = told.map((row) => `${row.observer}: rms error ${shown(row.rms)} ${run.unit}`).join("; ");
   }, SETTLED);
 }
@@ -383,7 +383,8 @@ for (const name of ["seed", "tolerance"]) {
   });
 }
 $("reset").addEventListener("click", () => {
-  state = read(`source=${encodeURIComponent(state.source)}`);
+  state = read(about ? `source=${encodeURIComponent(about.source)}` : "");
+  notice("");
   load();
 });
 $("link").addEventListener("click", async () => {

@@ -217,6 +217,7 @@ export function nearest(x, at) {
 // What a panel shows, for those who do not see it.
 export function described(panel) {
   const parts = panel.lines.map((line) => {
+    if (!line.values.some(Number.isFinite)) return `${line.observer ?? "truth"}: not known`;
     const [low, high] = range([line.values], false);
     const end = line.values[line.values.length - 1];
     return `${line.observer ?? "truth"}: from ${shown(low)} to ${shown(high)}, at the end ${shown(end)}`;
