@@ -9,6 +9,7 @@ from . import (
     ablation,
     calibration,
     compile_time,
+    explore,
     felt,
     import_time,
     peers,
@@ -27,6 +28,7 @@ FLAGS = {"--quick", "--install", "--regime"}
 quick = "--quick" in sys.argv
 BENCHMARKS = {
     "felt": felt.main,
+    "explore": explore.main,
     "import_time": import_time.main,
     "compile_time": compile_time.main,
     "quality": quality.main,

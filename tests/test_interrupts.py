@@ -22,6 +22,7 @@ COMMANDS = {
     "estimate": ("estimate", *LOG, "--out", "out.csv", "--plot", "out.png"),
     "calibrate": ("calibrate", *LOG, "--out", "out.toml"),
     "study": ("study", "in.toml", "--samples", "9999999", "--chunk", "256", "--out", "out"),
+    "explore": ("explore", "--no-browser"),
     "tune": ("tune", "in.toml", "--samples", "4096", "--out", "out.toml"),
 }
 START = "import sys; from aslo_jax.cli import main; print('begun', flush=True); main()"
@@ -65,6 +66,7 @@ def interrupted(name: str, after: float, number: signal.Signals, folder: Path) -
     ("name", "after", "number", "word"),
     [
         ("estimate", 0.01, signal.SIGINT, "interrupted"),
+        ("explore", 0.9, signal.SIGINT, "interrupted"),
         ("tune", 0.4, signal.SIGTERM, "terminated"),
         ("study", 3.5, signal.SIGINT, "interrupted"),
     ],

@@ -2,7 +2,7 @@
 
 import dataclasses
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -153,6 +153,8 @@ class Estimator:
     - `t`: every instant of the log (s), whose pieces come in order;
     - `first`: the row in which the loops start, by default the first certified one;
     - `smoothed`: whether it also looks ahead, in a log that comes in one piece;
+    - `observed(t, u, y)`: what gives the estimates of a piece, in place of the machine's
+      observer;
     - `offsets`: what is taken from the errors of angles (rad), by column;
     - `starts`: by suffix, the first certified row, once there is one.
     """
@@ -166,12 +168,15 @@ class Estimator:
         first: int | None = None,
         offsets: Mapping[str, float] | None = None,
         smoothed: bool = False,
+        observed: Callable[[Any, Any, Any], Any] | None = None,
     ) -> None:
         self.machine, self.starts = machine, dict[str, int]()
         self.offsets = offsets or {}
         interval = common_interval(t)
-        replayed = Smoothed if smoothed else Replayed
-        self.observed = replayed(machine.state_observer(rates), interval, substeps)
+        if observed is None:
+            replayed = Smoothed if smoothed else Replayed
+            observed = replayed(machine.state_observer(rates), interval, substeps)
+        self.observed: Any = observed
         self._tracked = [q for q in machine.quantities if q.tracks is not None]
         bandwidth = rates["pll_bandwidth"].constant if self._tracked else 0.0
         self._bandwidth = bandwidth

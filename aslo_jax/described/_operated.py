@@ -7,12 +7,12 @@ import numpy as np
 
 from .._replay import replay
 from ..logs import Log
-from ..machines import AbstractDescription
+from ..machines import AbstractDescription, machine_of
 from ..schema._toml_text import rounded
 from ..tune import Calibration
 from ..tune._calibration.result import SETTLED
 from ._calibrated import calibrate_machine, values_of
-from ._tuned import changed, machine_of
+from ._tuned import changed
 
 # Of what is spread, which follows the speed or the load of a log.
 OPERATED = {"controller.reference.offset": "speed", "plant.load.offset": "load"}

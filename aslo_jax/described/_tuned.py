@@ -15,7 +15,6 @@ from .. import random
 from .._experiment import Experiment
 from .._typing import Engine
 from ..engines import run_batch
-from ..machines import AbstractDescription, known_kind
 from ..schema._toml_text import table_of
 from ..study._config import Configuration, ConfigurationError, configure
 from ..study._possible import refuse_impossible
@@ -89,19 +88,6 @@ def tune_study(
             engine, threads,
         )  # fmt: skip
     return found
-
-
-def machine_of(content: Mapping[str, Any]) -> AbstractDescription:
-    """The machine of a study's file, its `content`, without what acts on it there, as
-    [`aslo_jax.machines.read_machine`][] gives it.
-
-    **Raises:** [`MachineError`][] for a kind of machine that has no logs.
-    """
-    machine = content["machine"]
-    kind = known_kind(machine["kind"], "`machine.kind` of a machine with a log")
-    table: Any = kind.model_fields["machine"].annotation
-    known = {k: v for k, v in machine.items() if k in table.model_fields}
-    return kind.model_validate({"machine": known})
 
 
 def changed(

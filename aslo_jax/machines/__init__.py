@@ -29,7 +29,11 @@ from ._base import (
 )
 from ._derived import DerivedDescription as DerivedDescription, load_model as load_model
 from ._drive import DriveDescription as DriveDescription
-from ._file import read_machine as read_machine, template as template
+from ._file import (
+    machine_of as machine_of,
+    read_machine as read_machine,
+    template as template,
+)
 from ._frequency import (
     cutoff_for_positions as cutoff_for_positions,
     typical_frequency as typical_frequency,

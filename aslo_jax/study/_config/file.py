@@ -159,6 +159,22 @@ def configure(content: Mapping[str, Any]) -> Configuration:
         raise ConfigurationError(f"{explain(model, error, content)}.") from None
 
 
+def experiment_in(content: Mapping[str, Any]) -> Experiment:
+    """The experiment of a content that differs in its numbers alone from one that was
+    configured: what takes tracing to be checked, shapes for instance, is not checked again,
+    which takes a tenth of the time."""
+    model = study_table()
+    try:
+        table = model.model_validate(content)
+        return _experiment(table, studies()[table.machine.kind])
+    except ValidationError as error:
+        raise ConfigurationError(f"{explain(model, error, content)}.") from None
+    except ConfigurationError:
+        raise
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error
+
+
 def _configured(table: AbstractStudyTable) -> Configuration:
     kind = table.machine.kind
     study = studies()[kind]
