@@ -48,8 +48,10 @@ class AdaptiveVelocities(AbstractObserver[AdaptiveEstimate]):
     are not known: a [`LiftedVelocities`][] with these as states beside positions and
     velocities.
 
-    - `system`, `output_deviation`, `input_deviation`, `force_deviation`, `prior`,
-      `initial`, `guard` and `interval`: as of [`LiftedVelocities`][];
+    - `system`, `guard` and `interval`: as of [`LiftedVelocities`][]; so are
+      `output_deviation` (m, rad), `force_deviation` (N, N m) and `prior` (m/s, rad/s),
+      shape `()` or `(n,)`, `input_deviation` (N, N m), shape `()` or `(m,)`, and `initial`
+      (m/s, rad/s), shape `(n,)`;
     - `parameters`: the names of the leaves of the system that are not known, numbers or
       arrays, such as `("m1", "damping")`. `"push"` is a constant force on every coordinate
       (N, N m), shape `(n,)`, which the system does not have: a load, or an offset of the

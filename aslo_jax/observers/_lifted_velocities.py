@@ -17,7 +17,8 @@ from ..plants import AbstractMechanicalSystem
 from ._base import AbstractObserver, Estimate, check_initial
 from ._extended_kalman import Pending
 from ._lifted_filter import grown, hole_of
-from ._mechanical_filter import Deviations, MechanicalBelief, MechanicalKalman
+from ._mechanical_belief import Deviations, MechanicalBelief
+from ._mechanical_filter import MechanicalKalman
 from ._motion import Motion
 from ._unwrapped import continued_angles
 
@@ -46,8 +47,8 @@ class LiftedVelocities(AbstractObserver):
 
     - `system`: the mechanical system, whose angles are unwrapped on the way in;
     - `output_deviation`, `input_deviation`: standard deviations of white noise on every
-      sample of the positions (m, rad) and of the forces in u (N, N m): one number, or one
-      for each entry. Of an encoder that is its step over `sqrt(12)`;
+      sample of the positions (m, rad), shape `()` or `(n,)`, and of the forces in u (N,
+      N m), shape `()` or `(m,)`. Of an encoder that is its step over `sqrt(12)`;
     - `force_deviation`: that of forces on each coordinate that the model does not know,
       white, in each interval (N, N m), shape `()` or `(n,)`; by default there are none, and
       the longer the log the more the model is believed;

@@ -1,38 +1,17 @@
 """The Kalman filter of all velocities of a mechanical system, as a law."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._factored import Factors
 from .._factored_arrays import packed, propagated, unpacked, updated
 from .._filters import AbstractLaw
 from .._runge_kutta import runge_kutta
 from .._typing import PyTree
+from ._mechanical_belief import Deviations, MechanicalBelief
+from ._mechanical_flow import flow
 from ._motion import Motion, Slopes
-
-
-class MechanicalBelief(NamedTuple):
-    """Mean, shape `(N,)`, and factors of the covariance, of positions, velocities and
-    unknown parameters."""
-
-    mean: Float[Array, " N"]
-    factors: Factors
-
-
-class Deviations(NamedTuple):
-    """Standard deviations: of the noise on every sample of y, shape `(n,)`, of u, shape
-    `(m,)`, and of forces that are not in u, shape `(n,)`, or `None`; of the first
-    belief of the velocities, shape `(n,)`, and of the parameters, shape `(k,)`; and of
-    their random walk after a second, shape `(k,)`, or `None`."""
-
-    output: Float[Array, " n"]
-    input: Float[Array, " m"]
-    force: Float[Array, " n"] | None
-    velocity: Float[Array, " n"]
-    parameters: Float[Array, " k"]
-    drift: Float[Array, " k"] | None
 
 
 class MechanicalKalman(AbstractLaw):
@@ -90,8 +69,6 @@ class MechanicalKalman(AbstractLaw):
         return MechanicalBelief(mean, packed(U, d))
 
     def flow(self, X: PyTree, v: PyTree) -> PyTree:
-        from ._mechanical_flow import flow
-
         return flow(self, X, *v)
 
     def variances(self, u: Float[Array, " m"]) -> Float[Array, " w"]:

@@ -1,5 +1,6 @@
 """The motion of a mechanical system some of whose parameters are unknown."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -83,10 +84,10 @@ class Motion(Module):
         """Those at positions and velocities `x`; the noise is that of u, then of the
         forces that are not in it."""
         q, velocity = jnp.split(x, 2)
-        given = [q, velocity, parameters, u]
-        if self.forces:
-            given.append(jnp.zeros_like(q))
-        by = jax.jacfwd(lambda given: self.acceleration(*given))(given)
+        force = jnp.zeros_like(q) if self.forces else None
+        entries = (0, 1, 2, 3, 4) if self.forces else (0, 1, 2, 3)
+        slopes: Callable[..., Any] = jax.jacfwd(self.acceleration, entries)
+        by = slopes(q, velocity, parameters, u, force)
         return Slopes(*by[:3], jnp.concatenate(by[3:], axis=1))
 
     def rate(
