@@ -11,7 +11,8 @@ from ._mechanical_belief import MechanicalBelief
 
 def flow(law: Any, X: MechanicalBelief, u: Any, y: Any) -> MechanicalBelief:
     """The derivative of the belief of a `MechanicalKalman`, `P' = F P + P F' + W - K V K'`,
-    in the factors of P, since `U^-1 P' U^-T` has d' on its diagonal and `U^-1 U' D` above it."""
+    in the factors of P, since `U^-1 P' U^-T` has d' on its diagonal and `U^-1 U' D` above
+    it."""
     n, dtype = y.shape[0], y.dtype
     U, d = unpacked(X.factors), X.factors.pivots
     k = d.shape[0] - 2 * n

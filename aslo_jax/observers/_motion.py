@@ -1,6 +1,5 @@
 """The motion of a mechanical system some of whose parameters are unknown."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -86,9 +85,8 @@ class Motion(Module):
         q, velocity = jnp.split(x, 2)
         force = jnp.zeros_like(q) if self.forces else None
         entries = (0, 1, 2, 3, 4) if self.forces else (0, 1, 2, 3)
-        slopes: Callable[..., Any] = jax.jacfwd(self.acceleration, entries)
-        by = slopes(q, velocity, parameters, u, force)
-        return Slopes(*by[:3], jnp.concatenate(by[3:], axis=1))
+        by = jax.jacfwd(self.acceleration, entries)(q, velocity, parameters, u, force)
+        return Slopes(by[0], by[1], by[2], jnp.concatenate(by[3:], axis=1))
 
     def rate(
         self,
