@@ -118,6 +118,9 @@ OBSERVERS = {
         LEG.system, aslo.LowPass(6.0), gain=4.0
     ),
     "leg, varying friction": aslo.velocity_observer(DAMPED_LEG.system, aslo.LowPass(6.0)),
+    "wheel, lifted velocities": aslo.LiftedVelocities(
+        WHEEL.system, 1e-4, 0.01, prior=3.0, interval=2.5e-3
+    ),
     "wheel, extended Kalman": aslo.ExtendedKalman.of_mechanical(
         WHEEL.system, 1e-3, 1e-8, initial=WHEEL.position(jnp.zeros(()))
     ),
@@ -149,7 +152,7 @@ def log(name):
     if name == "bearing":
         return sampled(BEARING.mean_voltage, BEARING.current, BEARING.truth)
     moving = {"leg": LEG, "leg, varying friction": DAMPED_LEG}
-    moving["wheel, extended Kalman"] = WHEEL
+    moving["wheel"] = WHEEL
     if name in moving:
         m = moving[name]
         return sampled(m.mean_force, m.position, m.velocity)
@@ -173,6 +176,8 @@ def log(name):
         return u, x1, x2[:, None]
     if name.startswith(("leg", "differentiator")):
         return log("leg")
+    if name.startswith("wheel"):
+        return log("wheel")
     return log("flux" if "flux" in name or name == "staged" else "chain")
 
 
@@ -250,6 +255,7 @@ VARIANTS = (
     *("chain, asymptotic from a guess", "flux, forgetting", "flux, paper", "joined"),
     *("side by side", "flux, FO1, paper", "flux, FO2, both sides", "flux, FO3"),
     *("leg, asymptotic velocities", "leg, varying friction", "flux, extended Kalman"),
+    "wheel, lifted velocities",
 )
 
 

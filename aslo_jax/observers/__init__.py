@@ -1,6 +1,7 @@
 """Observers: the protocol, the algebraic ones, their peers, and compositions."""
 
 from ._adaptive import Adaptive as Adaptive, AdaptiveEstimate as AdaptiveEstimate
+from ._adaptive_velocities import AdaptiveVelocities as AdaptiveVelocities
 from ._algebraic import AlgebraicObserver as AlgebraicObserver
 from ._angle import (
     AlgebraicMagnet as AlgebraicMagnet,
@@ -35,6 +36,7 @@ from ._fo3 import FO3 as FO3
 from ._gated import Gated as Gated
 from ._kalman import SteadyStateKalman as SteadyStateKalman
 from ._lifted import Lifted as Lifted
+from ._lifted_velocities import LiftedVelocities as LiftedVelocities
 from ._luenberger import ReducedLuenberger as ReducedLuenberger
 from ._open_loop import OpenLoopIntegrator as OpenLoopIntegrator
 from ._pll import PhaseLockedLoop as PhaseLockedLoop, wrap as wrap
@@ -56,6 +58,7 @@ __all__ = [
     "AbstractObserver",
     "Adaptive",
     "AdaptiveEstimate",
+    "AdaptiveVelocities",
     "AlgebraicMagnet",
     "AlgebraicObserver",
     "Asymptotic",
@@ -67,6 +70,8 @@ __all__ = [
     "FilteredDerivative",
     "HighGain",
     "Joined",
+    "Lifted",
+    "LiftedVelocities",
     "MagnetAngle",
     "MechanicalModel",
     "MomentumRelation",
