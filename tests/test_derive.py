@@ -13,7 +13,6 @@ from derivable_case import Case, stacked
 
 import aslo_jax as aslo
 from aslo_jax._derive.lifted import lower
-from aslo_jax._derive.plant import ModelPlant
 from aslo_jax.derivation import derive
 
 COMPLETIONS = {"repeat": aslo.Repeat, "least-squares": aslo.LeastSquares}
@@ -151,12 +150,12 @@ def test_the_observer_finds_the_states_of_a_sampled_log(gain):
     case = CASES["dc_motor_from_current"]()
     found = derive(case.model)
     t = np.linspace(0.0, 0.5, 5001)
-    plant = ModelPlant(case.model)
+    plant = found.plant()
     ts, h = jnp.asarray(t), t[1]
 
     def step(s, t):
         u = stacked(case.drive(t + 0.5 * h))
-        f = lambda s: plant.vector_field(t, s, u)
+        f = lambda s: plant.drift(s, u)
         a = f(s)
         b = f(s + 0.5 * h * a)
         c = f(s + 0.5 * h * b)

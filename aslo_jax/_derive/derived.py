@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._filters import AbstractFilter
+from .._guard import Guard
+from ..observers import Lifted
 from .certificate import Certificate, certificate
 from .changes import Change, changed, integrating
 from .closure import Closure, Constant
@@ -17,11 +19,14 @@ from .dictionary import Matrix, covectors
 from .lifted import Lowered, closed, lower
 from .model import Model
 from .observer import Coordinates, StateObserver, state_observer
+from .plant import ModelPlant, plant_of
 from .polynomials import Ring, Sampled
 from .refusal import reason, refusal
 from .relation import DerivedRelation, Parts, relation_of
 from .symbols import Program, program
 
+NOISELESS = 1e-9  # the deviation of inputs that are known
+DRAWN = 256  # points of the ranges, which say how large the relation's x is
 PERTURBED = 0.2  # of parameters, to see whether a closure holds for others too
 
 
@@ -61,7 +66,8 @@ class Derived:
     ) -> Float[Array, "*batch k"]:
         """The `states`, shape `(..., k)`, from the relation's x, `X` of shape `(..., n)`,
         and the outputs, `y` of shape `(..., p)`."""
-        return self.coordinates.states(jnp.asarray(X), jnp.asarray(y))
+        of = self.relation.values, jnp.asarray(X), jnp.asarray(y)
+        return self.coordinates.states(*of)
 
     def lift(
         self, x: Float[Array, "N n"], y: Float[Array, "N p"]
@@ -97,7 +103,59 @@ class Derived:
         - `initial`: the states before the first certified instant, shape `(k,)`;
         - `settings`: `completion`, `guard` and `start` of [`AlgebraicObserver`][].
         """
-        return state_observer(self.coordinates, filter, gain, initial, **settings)
+        return state_observer(
+            self.relation, self.coordinates, filter, gain, initial, **settings
+        )
+
+    def kalman_filter(
+        self,
+        output_deviation: Any,
+        input_deviation: Any = 0.0,
+        *,
+        prior: Any = None,
+        threshold: float | None = 0.9,
+        initial: Any = None,
+    ) -> StateObserver:
+        """The Kalman filter of the relation ([`Lifted`][]), as an observer of the `states`.
+
+        - `output_deviation`, `input_deviation`: standard deviations of white noise on every
+          sample of the outputs and of the inputs, in their units, one number or one each;
+        - `prior`: that of the first belief of the relation's x, about the middle of what
+          the ranges of the states make of it, shape `(n,)`: by default half the width;
+        - `threshold`: the certificate, between 0 and 1, below which the estimate coasts;
+          `None` returns the filter's mean as it is;
+        - `initial`: the states before the first certified instant, shape `(k,)`.
+        """
+        low, high = self._bounds()
+        guard = None if threshold is None else Guard(threshold)
+        lifted = Lifted(
+            self.relation,
+            output_deviation,
+            jnp.maximum(jnp.asarray(input_deviation, float), NOISELESS),
+            prior=0.5 * (high - low) if prior is None else prior,
+            initial=0.5 * (low + high),
+            guard=None,
+        )
+        return StateObserver(lifted, self.coordinates, guard, initial)
+
+    def plant(self) -> ModelPlant:
+        """The model as a plant, whose `hidden` part are the `states`.
+
+        **Raises:** `ValueError` for a model whose equations do not give its outputs.
+        """
+        return plant_of(self.model, self)
+
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """The least and the largest of each entry of the relation's x, on the ranges."""
+        rng = np.random.default_rng(0)
+
+        def drawn(ranges: Any) -> np.ndarray:
+            pairs = np.array(list(ranges.values()), float).reshape(-1, 2)
+            return rng.uniform(pairs[:, 0], pairs[:, 1], (DRAWN, len(pairs)))
+
+        x, y = drawn(self.model.ranges), drawn(self.model.outputs)
+        every = self.lift(jnp.asarray(x), jnp.asarray(y))
+        return np.nanmin(every, axis=0), np.nanmax(every, axis=0)
 
     def __str__(self) -> str:
         sure = "proved" if self.proved else "checked"
@@ -190,7 +248,7 @@ def _derived(
         closure.structural,
         _slowest(parts),
         tuple(reason(lowered, each) for each in closure.failures),
-        Coordinates(relation, steps, rates, middle, change),
+        Coordinates(steps, rates, middle, change),
         lowered.ring,
         tuple(basis),
     )

@@ -169,16 +169,18 @@ def scaled(algebra: Algebra, p: Polynomial, c: Any) -> Polynomial:
 
 
 class Ring:
-    """The generators, by name; `rules` are of those that are functions of others. States
-    that are `measured` are none: their inputs are coefficients."""
+    """The generators, by name; `rules` are of those that are functions of others. They are
+    the inputs of the `kind`; those that are `measured` are none, but coefficients."""
 
     def __init__(
         self,
         graph: Symbolic,
         names: tuple[str, ...],
         measured: frozenset[int] = frozenset(),
+        kind: str = "x",
     ) -> None:
         self.graph = graph
+        self.kind = kind
         self.measured = measured
         self.nodes = Nodes(graph)
         self.states = len(names)
@@ -256,7 +258,7 @@ class Ring:
 
     def moves(self, number: int) -> bool:
         """Whether a node depends on what is not measured."""
-        states = (k for kind, k in self.graph.inputs(number) if kind == "x")
+        states = (k for kind, k in self.graph.inputs(number) if kind == self.kind)
         return any(k not in self.measured for k in states)
 
     def of(self, number: int) -> Polynomial | Top:

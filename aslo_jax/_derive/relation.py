@@ -40,13 +40,18 @@ class DerivedRelation(Module):
     fixed: tuple[float, ...] = eqx.field(static=True, default=())
 
     @property
+    def values(self) -> tuple[Any, ...]:
+        """The parameters of the model, in order."""
+        return tuple(self.parameters.values()) or self.fixed
+
+    @property
     def signals(self) -> dict[str, tuple[int, ...]]:
         """The shapes of u and y."""
         m, p = self.sizes
         return {"u": (m,), "y": (p,)}
 
     def __call__(self, u: Float[Array, " m"], y: Float[Array, " p"]) -> AbstractTerms:
-        p = tuple(self.parameters.values()) or self.fixed
+        p = self.values
         left = iter(self.program({"u": u, "y": y, "p": p}))
         dtype = jnp.result_type(float, u, y) if p == () else jnp.result_type(u, y, *p)
         n = self.size

@@ -27,7 +27,8 @@ from ._base import (
     Rate as Rate,
     Unknowns as Unknowns,
 )
-from ._derived import DerivedDescription as DerivedDescription, load_model as load_model
+from ._derived import DerivedDescription as DerivedDescription
+from ._derived_study import load_model as load_model
 from ._drive import DriveDescription as DriveDescription
 from ._file import read_machine as read_machine, template as template
 from ._frequency import (
