@@ -6,6 +6,7 @@ a rate of what is measured, `x' = x F(y)'y' + ...` loses them in `mu x`, with
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -38,18 +39,23 @@ class Factor:
     half: float = 1.0
 
     def __call__(self, y: Float[Array, " p"]) -> Float[Array, ""]:
-        total = sum(
-            (k * y[j] for j, k in enumerate(self.slopes) if k),
-            start=jnp.zeros((), y.dtype),
-        )
-        if self.series:
-            s = (y[self.place] - self.middle) / self.half
-            s = jnp.where(jnp.abs(s) <= 1.0, s, jnp.nan)
-            later, latest = 0.0, 0.0
-            for c in self.series[:0:-1]:
-                later, latest = c + 2.0 * s * later - latest, later
-            total = total + self.series[0] + s * later - latest
-        return jnp.exp(total)
+        return _factor_at(self, y)
+
+
+@functools.partial(jax.jit, static_argnums=0)  # traced once, and not at every use
+def _factor_at(factor: Factor, y: Float[Array, " p"]) -> Float[Array, ""]:
+    total = sum(
+        (k * y[j] for j, k in enumerate(factor.slopes) if k),
+        start=jnp.zeros((), y.dtype),
+    )
+    if factor.series:
+        s = (y[factor.place] - factor.middle) / factor.half
+        s = jnp.cos(jnp.arccos(s))  # itself, and no number beyond one
+        later, latest = 0.0, 0.0
+        for c in factor.series[:0:-1]:
+            later, latest = c + 2.0 * s * later - latest, later
+        total = total + factor.series[0] + s * later - latest
+    return jnp.exp(total)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -155,7 +161,7 @@ def _field(
     nodes = [*gamma, *(c for row in G for c in row)]
 
     def field(inputs: dict[Any, np.ndarray]) -> np.ndarray | None:
-        points = Points(inputs, 0, True)
+        points = Points(inputs, 0, "nothing")
         values = np.stack([v[0] for v in points.of(graph, nodes)], axis=1)
         left, right = values[:, :n], values[:, n:].reshape(len(values), -1, n)
         found = np.stack(
@@ -185,7 +191,11 @@ def _series(lowered: Lowered, field: Any, j: int) -> np.ndarray | None:
     values = field(inputs)
     if values is None:
         return None
-    series = chebyshev.chebint(chebyshev.chebfit(nodes, values[:, j], DEGREE)) * half
+    # At these nodes the polynomials are orthogonal.
+    angles = np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1)
+    fit = 2.0 / (DEGREE + 1) * np.cos(np.outer(np.arange(DEGREE + 1), angles)) @ values[:, j]
+    fit[0] *= 0.5
+    series = chebyshev.chebint(fit) * half
     largest = np.abs(series).max(initial=1e-300)
     kept = np.flatnonzero(np.abs(series) > TAIL * largest)
     return series[: kept[-1] + 1] if kept.size and kept[-1] < DEGREE else None

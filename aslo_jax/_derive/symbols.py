@@ -115,7 +115,8 @@ def lowered(
     and `sizes` that it takes, in this order.
 
     **Raises:** `NotFusible` for a primitive that the engine does not know."""
-    arguments = [jnp.zeros(size) for size in sizes.values()]
+    dtype = jnp.result_type(float)
+    arguments = [jax.ShapeDtypeStruct((size,), dtype) for size in sizes.values()]
     closed = jax.make_jaxpr(function)(*arguments)
     inputs = [
         np.array([graph.input(float, (kind, k)) for k in range(size)], np.int64)

@@ -1,7 +1,6 @@
 """The protocol of every kind of machine description."""
 
 import abc
-import dataclasses
 import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Generic, TypeVar, get_args
@@ -19,6 +18,7 @@ from ..plants import AbstractPlant
 from ..schema import Table, is_rate, unit_of
 from ._condensed import CondensedLog, Condensing, blocks
 from ._keys import CalibrationTable
+from ._layout import Layout as Layout, Quantity as Quantity, Unknowns as Unknowns
 from ._lifted import NO_EFFECT, is_lifted, kind_of, no_effect
 from ._noise import Groups, Noise, pooled, white_noise
 from ._rates import Rate, Rates, low_pass
@@ -31,56 +31,7 @@ class MachineError(ValueError):
     """A machine description that cannot be used: names file, key and allowed values."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Quantity:
-    """What is estimated, scored and drawn as one.
-
-    - `name`, in words; `columns` of the table of estimates, `unit` of them all;
-    - `suffix`: of the columns `certificate` and `coasting` that speak for it;
-    - `angle`: whether it is an unwrapped angle (rad);
-    - `turns`: whether it turns so often in a log that it is drawn in close-ups;
-    - `tracks`: the column of the angle (rad) whose phase-locked loop gives it; every other
-      column comes from [`AbstractDescription.columns`][].
-    """
-
-    name: str
-    columns: tuple[str, ...]
-    unit: str
-    suffix: str = ""
-    angle: bool = False
-    turns: bool = False
-    tracks: str | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class Layout:
-    """The columns in, `signals`, and what is estimated from them, `quantities`, in the
-    order of the table of estimates.
-    """
-
-    signals: Signals
-    quantities: tuple[Quantity, ...]
-
-    def suffixes(self) -> list[str]:
-        """Those of the columns `certificate` and `coasting`."""
-        return list(dict.fromkeys(quantity.suffix for quantity in self.quantities))
-
-
 FROM_THE_LOG = ("cutoff", "pll_bandwidth")
-
-
-@dataclasses.dataclass(frozen=True)
-class Unknowns:
-    """The keys of `[machine]` that can be found from a log.
-
-    - `usual`: those that its relation depends on, and that are not simply known; `further`:
-      those that are found only if they are asked for;
-    - `refused`: why there are none, as the end of a sentence.
-    """
-
-    usual: tuple[str, ...] = ()
-    further: tuple[str, ...] = ()
-    refused: str = ""
 
 
 M = TypeVar("M", bound=Table)

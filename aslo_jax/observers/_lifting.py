@@ -48,9 +48,9 @@ def _single(rows: Several) -> list[AbstractTerms]:
     k, z, A = jnp.shape(rows.s)[0], rows.z, rows.A
     both = [(rows.C[j], rows.d[j]) for j in range(jnp.shape(rows.d)[0])]
     found: list[AbstractTerms] = [
-        Rate(c, rows.s[j], z, d, A) for j, (c, d) in enumerate(both[:k])
+        Rate(c=c, s=rows.s[j], z=z, d=d, A=A) for j, (c, d) in enumerate(both[:k])
     ]
-    return found + [Linear(c, d, z, A) for c, d in both[k:]]
+    return found + [Linear(c=c, d=d, z=z, A=A) for c, d in both[k:]]
 
 
 def added(rows: tuple[AbstractTerms, ...]) -> list[int | None]:
