@@ -168,3 +168,30 @@ def test_the_observer_finds_the_states_of_a_sampled_log(gain):
     estimate = aslo.replay(observer, t, np.asarray(u), np.asarray(s[:, 3:]))
     error = np.abs(np.asarray(estimate.value)[-1] / np.asarray(s)[-1, :3] - 1.0)
     assert error.max() < 1e-3
+
+
+def test_a_quotient_is_worth_nothing_where_it_is_of_zeros():
+    """A gain, from what it multiplies, which swings through zero: there the estimate coasts
+    and is not certified by what is known of its parts."""
+    found = derive(
+        aslo.Model(
+            lambda x, y, u: [3.0 * x[1], -3.0 * x[0], 0.0],
+            lambda x, y, u: [x[0], x[0] * x[2]],
+            states={"x": (-2, 2), "v": (-2, 2), "gain": (1, 3)},
+            outputs={"y": (-2, 2), "z": (-4, 4)},
+        )
+    )
+    assert {"x*gain", "v*gain"} <= set(found.lifted) and "gain" not in found.lifted
+    t = 1e-3 * np.arange(4000)
+    y = np.stack([1.1 * np.sin(3 * t), 2.2 * np.sin(3 * t)], axis=1) / 3.0
+    y = y + 1e-4 * np.random.default_rng(0).standard_normal(y.shape)
+    guard = aslo.Guard(threshold=1e-2)
+    observer = found.observer(aslo.LowPass(20.0), guard=guard)
+    estimate = aslo.replay(observer, t, np.zeros((4000, 0)), y)
+    late, coasting = t > 1.0, np.asarray(estimate.coasting)
+    error = np.abs(np.asarray(estimate.value)[:, 2] - 2.0)
+    assert 0.01 < coasting[late].mean() < 0.5
+    assert error[late].max() < 0.1
+    alone = found.observer(aslo.LowPass(20.0), guard=None)
+    error = np.abs(np.asarray(aslo.replay(alone, t, np.zeros((4000, 0)), y).value)[:, 2] - 2)
+    assert error[late].max() > 0.2

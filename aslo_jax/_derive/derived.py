@@ -67,7 +67,7 @@ class Derived:
         """The `states`, shape `(..., k)`, from the relation's x, `X` of shape `(..., n)`,
         and the outputs, `y` of shape `(..., p)`."""
         of = self.relation.values, jnp.asarray(X), jnp.asarray(y)
-        return self.coordinates.states(*of)
+        return self.coordinates.states(*of)[0]
 
     def lift(
         self, x: Float[Array, "N n"], y: Float[Array, "N p"]
@@ -147,13 +147,7 @@ class Derived:
 
     def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """The least and the largest of each entry of the relation's x, on the ranges."""
-        rng = np.random.default_rng(0)
-
-        def drawn(ranges: Any) -> np.ndarray:
-            pairs = np.array(list(ranges.values()), float).reshape(-1, 2)
-            return rng.uniform(pairs[:, 0], pairs[:, 1], (DRAWN, len(pairs)))
-
-        x, y = drawn(self.model.ranges), drawn(self.model.outputs)
+        x, y = _drawn(self.model.ranges), _drawn(self.model.outputs, 1)
         every = self.lift(jnp.asarray(x), jnp.asarray(y))
         return np.nanmin(every, axis=0), np.nanmax(every, axis=0)
 
@@ -174,6 +168,13 @@ class Derived:
     def _with_note(self, name: str) -> str:
         note = self.notes.get(name)
         return f"{name} ({note})" if note else name
+
+
+def _drawn(ranges: Any, seed: int = 0) -> np.ndarray:
+    """Points of ranges, shape `(N, n)`."""
+    rng, pairs = np.random.default_rng(seed), np.array(list(ranges.values()), float)
+    pairs = pairs.reshape(-1, 2)
+    return rng.uniform(pairs[:, 0], pairs[:, 1], (DRAWN, len(pairs)))
 
 
 def derive(model: Model) -> Derived:
@@ -228,7 +229,7 @@ def _derived(
     # A factor is a series of numbers, for the present values of the parameters.
     free = change is None and (closure.structural or _holds_for_others(lowered, closure))
     relation, basis = relation_of(parts, free)
-    steps = decoder(lowered.ring, basis)
+    steps = decoder(lowered.ring, basis, _drawn(model.ranges), model.values())
     names = list(model.ranges)
     middle = tuple(0.5 * (low + high) for low, high in model.ranges.values())
     text = lowered.ring.text

@@ -38,15 +38,16 @@ class Coordinates(Module):
 
     def states(
         self, p: Sequence[Any], X: Float[Array, "*batch n"], y: Float[Array, "*batch p"]
-    ) -> Float[Array, "*batch k"]:
-        """The states that are found, from the x of the relation and what is measured."""
-        found = self.decoder(X, p)
+    ) -> tuple[Float[Array, "*batch k"], Float[Array, "*batch"]]:
+        """The states that are found, from the x of the relation and what is measured, and
+        their worth beside that of x, one at most."""
+        found, worth = self.decoder(X, p)
         if self.change is None:
-            return found
+            return found, worth
         places = jnp.array(self.decoder.states)
         full = jnp.zeros((*found.shape[:-1], len(self.middle)), found.dtype)
         back = jnp.vectorize(self.change.back, signature="(n),(p)->(n)")
-        return back(full.at[..., places].set(found), y)[..., places]
+        return back(full.at[..., places].set(found), y)[..., places], worth
 
     def rate(
         self,
@@ -133,11 +134,14 @@ class StateObserver(AbstractObserver):
     def decoded(self, found: Estimate, y: PyTree) -> Estimate:
         """The estimate of the states from one of the relation's x."""
         of = lambda X: self.coordinates.states(self.relation.values, X, y)
-        states, covariance = of(found.value), found.covariance
+        (states, worth), covariance = of(found.value), found.covariance
         if covariance is not None:
-            J = jax.jacfwd(of)(found.value)
+            J = jax.jacfwd(lambda X: of(X)[0])(found.value)
             covariance = J @ covariance @ J.T
-        return Estimate(states, found.certificate, found.coasting, covariance)
+        certificate = found.certificate
+        if not self.coordinates.decoder.is_selection:
+            certificate = certificate * worth
+        return Estimate(states, certificate, found.coasting, covariance)
 
 
 def state_observer(
