@@ -76,7 +76,8 @@ class Derived:
         n)`, unknown parameters the last ones, and the outputs, `y` of shape `(N, p)`."""
         values, change = np.asarray(x, float), self.coordinates.change
         if change is not None:
-            values = np.asarray(jax.vmap(change.into)(jnp.asarray(values), jnp.asarray(y)))
+            into = jax.vmap(lambda x, y: change.into(x, y, self.relation.values))
+            values = np.asarray(into(jnp.asarray(values), jnp.asarray(y)))
         return lifted_states(self._ring, self._basis, values, self.model.values())
 
     def certificate(self, cutoff: float | None = None, seed: int = 0) -> Certificate:
@@ -227,7 +228,9 @@ def _derived(
 ) -> Derived:
     parts = Parts(lowered, closure, algebra)
     # A factor is a series of numbers, for the present values of the parameters.
-    free = change is None and (closure.structural or _holds_for_others(lowered, closure))
+    free = (change is None or change.symbolic) and (
+        closure.structural or _holds_for_others(lowered, closure)
+    )
     relation, basis = relation_of(parts, free)
     steps = decoder(lowered.ring, basis, _drawn(model.ranges), model.values())
     names = list(model.ranges)

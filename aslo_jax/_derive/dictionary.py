@@ -7,6 +7,7 @@ body that turns it finds the angular momentum in the frame at rest.
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -39,13 +40,21 @@ class Matrix:
     def __call__(self, y: Float[Array, " p"]) -> Float[Array, "n n"]:
         return _matrix(self, y)
 
-    def into(self, x: Float[Array, " k"], y: Float[Array, " p"]) -> Float[Array, " k"]:
+    symbolic = False  # it holds for the present values of the parameters
+
+    def into(
+        self, x: Float[Array, " k"], y: Float[Array, " p"], p: Sequence[Any]
+    ) -> Float[Array, " k"]:
         """The new coordinates of states `x`, unknown parameters as they are."""
+        del p
         n = len(self.combinations)
         return jnp.concatenate([jnp.sum(self(y) * x[:n], axis=1), x[n:]])
 
-    def back(self, x: Float[Array, " k"], y: Float[Array, " p"]) -> Float[Array, " k"]:
+    def back(
+        self, x: Float[Array, " k"], y: Float[Array, " p"], p: Sequence[Any]
+    ) -> Float[Array, " k"]:
         """The states of new coordinates `x`."""
+        del p
         n = len(self.combinations)
         return jnp.concatenate([_solved(self(y), x[:n]), x[n:]])
 
@@ -112,7 +121,7 @@ def covectors(lowered: Lowered) -> Matrix | None:
         return None
     code, p = program(graph, atoms), tuple(float(v) for v in model.values())
     algebra = lowered.sampled(0)
-    of, slope = _with_slopes(code, p, algebra.points, len(model.outputs))
+    of, slope = with_slopes(code, p, algebra.points, len(model.outputs))
     left, right = (list(side) for side in zip(*every, strict=True))
     values = of[:, left] * of[:, right]
     slopes = of[:, left, None] * slope[:, right] + slope[:, left] * of[:, right, None]
@@ -125,7 +134,7 @@ def covectors(lowered: Lowered) -> Matrix | None:
     return Matrix(picked, code, tuple(every[k] for k in kept), p)
 
 
-def _with_slopes(
+def with_slopes(
     code: Program, p: tuple[float, ...], points: Points, outputs: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """The functions of y in `code`, shape `(N, a)`, and their slopes, shape `(N, a, p)`, at

@@ -46,7 +46,8 @@ class Coordinates(Module):
             return found, worth
         places = jnp.array(self.decoder.states)
         full = jnp.zeros((*found.shape[:-1], len(self.middle)), found.dtype)
-        back = jnp.vectorize(self.change.back, signature="(n),(p)->(n)")
+        change = self.change
+        back = jnp.vectorize(lambda x, y: change.back(x, y, p), signature="(n),(p)->(n)")
         return back(full.at[..., places].set(found), y)[..., places], worth
 
     def rate(
