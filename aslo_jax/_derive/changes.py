@@ -176,7 +176,9 @@ def _factor(lowered: Lowered, i: int, rows: dict[int, Any]) -> Factor | None:
     slope = chebyshev.chebval((now - middle) / half, chebyshev.chebder(series)) / half
     if np.abs(slope - scattered[:, j]).max() > SAME * size:
         return None  # it depends on other signals, too
-    return Factor(constants, j, tuple(map(float, series)), middle, half)
+    return Factor(
+        constants, place=j, series=tuple(map(float, series)), middle=middle, half=half
+    )
 
 
 def _own_factor(lowered: Lowered, field: np.ndarray) -> Factor | None:

@@ -1,22 +1,26 @@
 """What is derived from a model: the relation, and all that is known of it."""
 
 import dataclasses
-from typing import Any
+from typing import Any, overload
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._checks import unlike
 from .._filters import AbstractFilter
 from .._guard import Guard
+from .._structure import Region
 from ..observers import Lifted
+from ..plants import AbstractMechanicalSystem
 from .certificate import Certificate, certificate
 from .changes import Change, changed, integrating
 from .closure import Closure, Constant
 from .decoding import decoder, lifted_states
 from .dictionary import Matrix, covectors
 from .lifted import Lowered, closed, lower
+from .mechanical import DerivedVelocities, derive_velocities
 from .model import Model
 from .observer import Coordinates, StateObserver, state_observer
 from .plant import ModelPlant, plant_of
@@ -178,7 +182,17 @@ def _drawn(ranges: Any, seed: int = 0) -> np.ndarray:
     return rng.uniform(pairs[:, 0], pairs[:, 1], (DRAWN, len(pairs)))
 
 
-def derive(model: Model) -> Derived:
+@overload
+def derive(model: Model, region: None = None) -> Derived: ...
+@overload
+def derive(
+    model: AbstractMechanicalSystem, region: Region | None = None
+) -> DerivedVelocities: ...
+
+
+def derive(
+    model: Model | AbstractMechanicalSystem, region: Region | None = None
+) -> Derived | DerivedVelocities:
     """Derive the algebraic observer of what a `model` does not measure.
 
     Its functions are traced and lowered as for the fused engine, and interpreted as
@@ -188,13 +202,25 @@ def derive(model: Model) -> Derived:
     line. Then the rows are closed under differentiation, which gives a state-affine system.
     What is measured is taken as free: whether a record excites it, the certificate tells.
 
-    **Raises:** [`NotDerivable`][] where no equation closes, with the reason, the pair of
+    Of a mechanical system, whose inertia is known as such, the rule is its structure
+    ([`structure_of`][]): velocities one after the other, each from a momentum alone, which
+    takes a quarter of the operations of all of them together. `region` is where it moves, a
+    pair (low, high) of coordinates; a model has ranges instead.
+
+    **Raises:** [`StructureError`][] for a mechanical system that is not of the class;
+    [`NotDerivable`][] where no equation closes, with the reason, the pair of
     states that is in the way, and the measurement that would help; [`NotFusible`][] for a
     primitive that is not known; `ValueError` for a model that is not finite on its ranges.
 
     Source: theory, "deriving the observer from a model"; Fliess and Kupka 1983,
     doi:10.1137/0321041.
     """
+    if isinstance(model, AbstractMechanicalSystem):
+        return derive_velocities(model, region)
+    if not isinstance(model, Model):
+        raise unlike("model", model, "a `Model` or an `AbstractMechanicalSystem`")
+    if region is not None:
+        raise ValueError("Argument `region` must be left out for a model with ranges.")
     lowered = lower(model)
     closure, algebra = closed(lowered)
     for find in (integrating, covectors) if closure.failures else ():

@@ -140,9 +140,7 @@ class Points:
     ) -> np.ndarray:
         """Value and magnitude at the good points. What is zero at all of them by no
         cancellation, as a number that is too small is, may be none elsewhere."""
-        both = np.stack(
-            [np.broadcast_to(np.asarray(x, float), self.count) for x in found]
-        )
+        both = np.stack([np.broadcast_to(np.asarray(x, float), self.count) for x in found])
         nothing = lots is not None and lots.wild and not both.any()
         varies = any(kind != "p" for kind, _ in graph.inputs(number))
         if nothing and varies and graph.value(number) is None:

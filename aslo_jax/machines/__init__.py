@@ -28,7 +28,7 @@ from ._base import (
     Unknowns as Unknowns,
 )
 from ._derived import DerivedDescription as DerivedDescription
-from ._derived_study import load_model as load_model
+from ._derived_study import load_derivable as load_derivable, load_model as load_model
 from ._drive import DriveDescription as DriveDescription
 from ._file import read_machine as read_machine, template as template
 from ._frequency import (
@@ -66,6 +66,7 @@ __all__ = [
     "cutoff_for",
     "cutoff_for_positions",
     "electrical_speed",
+    "load_derivable",
     "load_model",
     "read_machine",
     "template",

@@ -15,6 +15,7 @@ from .._filters import LowPass
 from .._guard import Guard
 from ..derivation import Derived, Model, derive
 from ..observers import AbstractObserver, ExtendedKalman
+from ..plants import AbstractMechanicalSystem
 from ..schema import Table, hint, key
 from ._python import load
 from ._study import Build, Study
@@ -30,6 +31,12 @@ def load_model(path: str, folder: Path) -> Model:
     **Raises:** [`MachineError`][].
     """
     return load(path, folder, f"`machine.model`, {path}:", Model, "an `aslo_jax.Model`")
+
+
+def load_derivable(path: str, folder: Path) -> Model | AbstractMechanicalSystem:
+    """A model, or a mechanical system, as [`load_model`][]."""
+    hint = "an `aslo_jax.Model` or an `AbstractMechanicalSystem`"
+    return load(path, folder, f"{path}:", Model | AbstractMechanicalSystem, hint)
 
 
 class DerivedTable(Table):
