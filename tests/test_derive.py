@@ -193,7 +193,9 @@ def test_a_quotient_is_worth_nothing_where_it_is_of_zeros():
     assert 0.01 < coasting[late].mean() < 0.5
     assert error[late].max() < 0.1
     alone = found.observer(aslo.LowPass(20.0), guard=None)
-    error = np.abs(np.asarray(aslo.replay(alone, t, np.zeros((4000, 0)), y).value)[:, 2] - 2)
+    error = np.abs(
+        np.asarray(aslo.replay(alone, t, np.zeros((4000, 0)), y).value)[:, 2] - 2
+    )
     assert error[late].max() > 0.2
 
 
@@ -205,8 +207,8 @@ def test_a_mechanical_system_has_the_rule_of_its_structure(capsys, tmp_path):
     by_rule = aslo.velocity_observer(system, aslo.LowPass(9.0))
     same = jax.tree.map(np.array_equal, found.observer(aslo.LowPass(9.0)), by_rule)
     assert all(jax.tree.leaves(same))
+    inertia = lambda q: 1.5 + jnp.sin(q)
     with pytest.raises(aslo.StructureError, match="depends on q1"):
-        inertia = lambda q: 1.5 + jnp.sin(q)
         derive(aslo.plants.MechanicalSystem(inertia, position=[0.0, 0.0]))
     with pytest.raises(ValueError, match="must be left out"):
         derive(CASES["buck"]().model, region=([0.0], [1.0]))
@@ -245,7 +247,7 @@ def test_momenta_hold_for_other_parameters_and_everywhere():
 
 
 def test_a_factor_that_the_model_does_not_have_is_a_series():
-    """`x' = -cos(y) x y'`: exp(sin y) x does not change. Beyond the range it is no number."""
+    """`x' = -cos(y) x y'`: exp(sin y) x does not change. Beyond its range it is no number."""
     found = derive(
         aslo.Model(
             lambda x, y, u: [-jnp.cos(y[0]) * x[0] ** 2],

@@ -237,3 +237,20 @@ def test_a_primitive_that_is_not_known_is_refused_by_its_line():
 
     with pytest.raises(aslo.NotFusible, match=r"test_derive_refusals\.py"):
         derive(of_output(lambda x, y: called(x[0])))
+
+
+WRONG = {
+    "if": (lambda x, y, u, p: [x[0] if y[0] > 0 else -x[0]], "use `jnp.where`"),
+    "numpy": (lambda x, y, u, p: [np.sin(y[0]) * x[0]], "functions of `jax.numpy`"),
+    "entry": (lambda x, y, u, p: [u[0] * x[0]], "IndexError"),
+    "name": (lambda x, y, u, p: [p["drag"] * x[0]], "KeyError: 'drag'"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_function_that_fails_is_told_by_its_line(name):
+    function, expected = WRONG[name]
+    ranges = {"states": {"x": (0.5, 2.0)}, "outputs": {"y": (0.5, 2.0)}}
+    with pytest.raises(ValueError, match="Argument `f`") as caught:
+        derive(Model(function, lambda x, y, u: [x[0]], **ranges))
+    assert expected in str(caught.value) and "test_derive_refusals.py:" in str(caught.value)
