@@ -13,6 +13,7 @@ from .._checked_log import common_interval
 from .._replay import run_log
 from .._smooth import smooth
 from .._typing import Engine
+from ..derivation import StateObserver
 from ..diagnosis import Rows, absent_rows, bridged, touched
 from ..logs import Log
 from ..machines import AbstractDescription, Quantity
@@ -139,7 +140,7 @@ class Smoothed(Replayed):
     ) -> Any:
         observer = self.observer
         each = observer.observers if isinstance(observer, SideBySide) else observer
-        leaf = lambda x: isinstance(x, Lifted | Adaptive)
+        leaf = lambda x: isinstance(x, Lifted | Adaptive | StateObserver)
         lost = not (np.isfinite(u).all() and np.isfinite(y).all())
         one = lambda x: smooth(x, t, u, y, missing="coast" if lost else "refuse")
         done = jax.tree.map(one, each, is_leaf=leaf)

@@ -27,7 +27,8 @@ from ._base import (
     Rate as Rate,
     Unknowns as Unknowns,
 )
-from ._derived import DerivedDescription as DerivedDescription, load_model as load_model
+from ._derived import DerivedDescription as DerivedDescription
+from ._derived_study import load_derivable as load_derivable, load_model as load_model
 from ._drive import DriveDescription as DriveDescription
 from ._file import (
     machine_of as machine_of,
@@ -69,6 +70,7 @@ __all__ = [
     "cutoff_for",
     "cutoff_for_positions",
     "electrical_speed",
+    "load_derivable",
     "load_model",
     "read_machine",
     "template",

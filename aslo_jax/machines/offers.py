@@ -76,6 +76,17 @@ def refuse_keys(keys: Any, *names: str) -> None:
             )
 
 
+def refuse_list(keys: Any, name: str) -> None:
+    """Refuse a list where one number is meant.
+
+    **Raises:** `ValueError`.
+    """
+    if isinstance(getattr(keys, name), list):
+        raise ValueError(
+            f"`{name}` must be one number for this machine, but is {getattr(keys, name)}"
+        )
+
+
 def _guard(keys: Any, threshold: float) -> Guard:
     return Guard(threshold if keys.threshold is None else keys.threshold)
 
@@ -156,6 +167,7 @@ def of_round_motor() -> dict[str, Build]:
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         del start
         process = jnp.asarray(keys.process, float)
+        refuse_list(keys, "measurement")
         relation = plant.flux_relation()
         return ExtendedKalman.of_pmsm(relation, keys.voltage, process, keys.measurement)
 
@@ -180,6 +192,7 @@ def of_mechanism(*, threshold: float) -> dict[str, Build]:
 
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         refuse_keys(keys, "voltage")
+        refuse_list(keys, "measurement")
         process = jnp.asarray(keys.process, float)
         return ExtendedKalman.of_mechanical(
             plant, process, keys.measurement, 1.0, initial=start.position

@@ -97,11 +97,13 @@ class KalmanTable(AbstractObserverTable):
 
     kind: Literal["kalman"] = key("the kind of observer")
     process: Positive | Annotated[list[Positive], Field(min_length=1)] = key(
-        "two-sided intensity of the noise on the acceleration (m^2/s^3, rad^2/s^3)",
+        "two-sided intensity of the noise on the acceleration (m^2/s^3, rad^2/s^3), of a "
+        "model on every rate",
         allowed="a positive finite number, or a list of them",
     )
-    measurement: Positive = key(
-        "two-sided intensity of the noise on the measurement (its unit squared, s)"
+    measurement: Positive | Annotated[list[Positive], Field(min_length=1)] = key(
+        "two-sided intensity of the noise on the measurement (its unit squared, s)",
+        allowed="a positive finite number, or of a model a list of them",
     )
     voltage: Positive = key(
         "two-sided intensity of the noise on the voltage of a motor", "V^2 s", default=1e-6

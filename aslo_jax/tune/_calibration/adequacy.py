@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ..._derive.plant import ModelPlant
 from ...plants import AbstractMechanicalSystem
 from .information import normalised, spread
 from .search import Search
@@ -59,6 +60,8 @@ def tested(
     """The errors of the record that a calibration looks for without fitting them."""
     if isinstance(model, AbstractMechanicalSystem):
         fields = ["delay"]
+    elif isinstance(model, ModelPlant):
+        fields = ["output_offset", *(["delay"] if u.shape[1] else [])]
     elif u.shape[1] == y.shape[1]:
         fields = list(CANDIDATES)
     else:
