@@ -4,6 +4,7 @@ from ._derive.certificate import Certificate as Certificate
 from ._derive.derived import Derived as Derived, derive as derive
 from ._derive.model import Model as Model
 from ._derive.observer import StateObserver as StateObserver
+from ._derive.of_plant import model_of as model_of
 from ._derive.refusal import NotDerivable as NotDerivable
 from ._derive.relation import DerivedRelation as DerivedRelation
 
@@ -15,4 +16,5 @@ __all__ = [
     "NotDerivable",
     "StateObserver",
     "derive",
+    "model_of",
 ]

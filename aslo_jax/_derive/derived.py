@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._filters import AbstractFilter
+from ..plants import AbstractModelledPlant
 from .certificate import Certificate, certificate
 from .changes import Change, changed, integrating
 from .closure import Closure, Constant
@@ -17,6 +18,7 @@ from .dictionary import Matrix, covectors
 from .lifted import Lowered, closed, lower
 from .model import Model
 from .observer import Coordinates, StateObserver, state_observer
+from .of_plant import once
 from .polynomials import Ring, Sampled
 from .refusal import reason, refusal
 from .relation import DerivedRelation, Parts, relation_of
@@ -118,8 +120,9 @@ class Derived:
         return f"{name} ({note})" if note else name
 
 
-def derive(model: Model) -> Derived:
-    """Derive the algebraic observer of what a `model` does not measure.
+def derive(model: Model | AbstractModelledPlant) -> Derived:
+    """Derive the algebraic observer of what a `model` does not measure, or of the hidden
+    part of a plant that is one; that of a plant is kept for the next time.
 
     Its functions are traced and lowered as for the fused engine, and interpreted as
     polynomials in the states (with sines, cosines and exponentials of these, every branch
@@ -135,6 +138,8 @@ def derive(model: Model) -> Derived:
     Source: theory, "deriving the observer from a model"; Fliess and Kupka 1983,
     doi:10.1137/0321041.
     """
+    if not isinstance(model, Model):
+        return once(model, derive)
     lowered = lower(model)
     closure, algebra = closed(lowered)
     for find in (integrating, covectors) if closure.failures else ():
