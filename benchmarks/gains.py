@@ -26,13 +26,13 @@ from aslo_jax.study._config import NAMES, configure
 from aslo_jax.study._spread import Sampler
 
 GAINS = {
-    "aslo": ("cutoff",),
+    "aslo": ("cutoff", "forgetting"),
     "a-aslo": ("cutoff", "gain"),
     "fo1": ("cutoff", "gain"),
     "fo2": ("gain",),
     "fo3": ("cutoff", "gain"),
     "luenberger": ("gain",),
-    "kalman": ("process",),
+    "kalman": ("process", "drift"),
     "high_gain": ("bandwidth",),
     "super_twisting": ("bound",),
     "filtered_derivative": ("cutoff",),
@@ -41,7 +41,7 @@ LINEAR = (HighGain, ReducedLuenberger, SteadyStateKalman)
 BEARING = ("cutoff", "forgetting", "velocity_cutoff")
 CANDIDATES, SAMPLES, SEED = 24, 64, 2_026
 # Of intensities, whose fourth root is a bandwidth, a wider search.
-WIDER = {"process": 4.0, "bound": 2.0}
+WIDER = {"process": 4.0, "drift": 4.0, "bound": 2.0}
 
 
 def tuned(name: str) -> dict[str, dict[str, float]]:
@@ -49,7 +49,9 @@ def tuned(name: str) -> dict[str, dict[str, float]]:
     text = (files("aslo_jax.study") / "configs" / f"{name}.toml").read_text("utf-8")
     content = tomllib.loads(text)
     names = {
-        observer: BEARING if name == "magnetic_bearing" else GAINS[table["kind"]]
+        observer: BEARING
+        if name == "magnetic_bearing"
+        else tuple(gain for gain in GAINS[table["kind"]] if gain in table)
         for observer, table in content["observers"].items()
         if table["kind"] in GAINS  # others have none
     }

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from .._completions import AbstractCompletion, LeastSquares, Repeat
 from .._filters import LowPass
 from .._guard import Guard
+from ..derivation import derive
 from ..observers import (
     FO1,
     FO2,
@@ -24,6 +25,7 @@ from ..observers import (
     HighGain,
     Joined,
     Lifted,
+    Luenberger,
     OpenLoopIntegrator,
     SuperTwisting,
     Unwrapped,
@@ -74,6 +76,16 @@ def refuse_keys(keys: Any, *names: str) -> None:
             raise ValueError(
                 f"`{name}` has no effect on this observer of this machine; remove it"
             )
+
+
+def one_number(keys: Any, *names: str) -> None:
+    """Refuse several numbers where an observer takes one.
+
+    **Raises:** `ValueError`.
+    """
+    for name in names:
+        if isinstance(getattr(keys, name), list):
+            raise ValueError(f"`{name}` must be one number for this machine")
 
 
 def _guard(keys: Any, threshold: float) -> Guard:
@@ -155,6 +167,8 @@ def of_round_motor() -> dict[str, Build]:
 
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         del start
+        refuse_keys(keys, "drift")
+        one_number(keys, "measurement")
         process = jnp.asarray(keys.process, float)
         relation = plant.flux_relation()
         return ExtendedKalman.of_pmsm(relation, keys.voltage, process, keys.measurement)
@@ -179,7 +193,7 @@ def of_mechanism(*, threshold: float) -> dict[str, Build]:
         )
 
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
-        refuse_keys(keys, "voltage")
+        refuse_keys(keys, "voltage", "drift")
         process = jnp.asarray(keys.process, float)
         return ExtendedKalman.of_mechanical(
             plant, process, keys.measurement, 1.0, initial=start.position
@@ -216,3 +230,61 @@ def _unwrapping(build: Build) -> Build:
         return Unwrapped(observer, plant.angles) if any(plant.angles) else observer
 
     return unwrapped
+
+
+MODEL = 1e-6  # the threshold of a derived relation, whose x may have many entries
+
+
+def _derived(keys: Any, plant: Any, initial: Any) -> AbstractObserver:
+    """ASLO or A-ASLO of the states of a plant that is a model."""
+    refuse_keys(keys, "velocity_cutoff")
+    found = derive(plant)
+    return found.observer(
+        low_pass(keys.cutoff, None),
+        completion=_completion(keys, None),
+        guard=_guard(keys, MODEL),
+        start=keys.start,
+        gain=getattr(keys, "gain", None),
+        initial=initial,
+    )
+
+
+def of_model() -> dict[str, Build]:
+    """Those of a plant that is a model: what is derived from it, and copies of it. All
+    begin with its parameters and first state."""
+
+    def derived(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        return _derived(keys, plant, plant.hidden(start))
+
+    def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        refuse_keys(keys, "voltage")
+        one_number(keys, "process")
+        drift = keys.process if keys.drift is None else keys.drift
+        measurement = jnp.asarray(keys.measurement, float)
+        return ExtendedKalman.of_plant(plant, keys.process, drift, measurement, start)
+
+    def luenberger(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        return Luenberger.of_plant(plant, keys.gain, start)
+
+    return {
+        "aslo": derived,
+        "a-aslo": derived,
+        "kalman": kalman,
+        "luenberger": luenberger,
+    }
+
+
+def of_modelled_machine() -> dict[str, Build]:
+    """Those of an electrical machine that is a model."""
+
+    def derived(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        return _derived(keys, plant, plant.hidden(start))
+
+    def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        refuse_keys(keys, "drift")
+        one_number(keys, "process", "measurement")
+        return ExtendedKalman.of_machine(
+            plant, keys.voltage, keys.process, keys.measurement, flux=start.flux
+        )
+
+    return {"aslo": derived, "a-aslo": derived, "kalman": kalman}

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -13,6 +14,8 @@ from .._typing import PyTree, RealArray
 from ._base import AbstractPlant
 
 __all__ = ["AbstractModelledPlant", "AbstractVectorPlant", "Span", "parameter"]
+
+BALANCING = 8  # Gauss-Newton steps to the input that holds a state
 
 
 class Span(NamedTuple):
@@ -136,6 +139,16 @@ class AbstractVectorPlant(AbstractModelledPlant):
             if (constants)
             else x[: len(self.states)]
         )
+
+    def balance(self, x: Float[Array, " s"]) -> Float[Array, " m"]:
+        """The input that holds the plant in a state `x`, in the sense of least squares of
+        rates over their ranges."""
+        sizes = jnp.asarray([each.high - each.low for each in self.moving().values()])
+        rate = lambda u: self.vector_field(jnp.zeros(()), x, u) / sizes
+        u = self.no_input(self.output(x))
+        for _ in range(BALANCING if u.size else 0):
+            u = u - jnp.linalg.lstsq(jax.jacfwd(rate)(u), rate(u))[0]
+        return u
 
     def _parts(self, x: Float[Array, " s"]) -> tuple[RealArray, RealArray]:
         n = len(self.states)
