@@ -47,7 +47,11 @@ WIDER = {"process": 4.0, "drift": 4.0, "bound": 2.0}
 def tuned(name: str) -> dict[str, dict[str, float]]:
     """The gains of every observer of the study `name`."""
     text = (files("aslo_jax.study") / "configs" / f"{name}.toml").read_text("utf-8")
-    content = tomllib.loads(text)
+    return searched(name, tomllib.loads(text))
+
+
+def searched(name: str, content: dict[str, Any]) -> dict[str, dict[str, float]]:
+    """The same of a study by its `content`, which is changed."""
     names = {
         observer: BEARING
         if name == "magnetic_bearing"

@@ -13,9 +13,10 @@ from .._completions import LeastSquares, Repeat
 from .._derive.plant import ModelPlant
 from .._filters import LowPass
 from .._guard import Guard
-from ..derivation import Derived, Model, derive
+from ..derivation import Derived, Model, derive, model_of
 from ..logs import Log, Signals
 from ..observers import AbstractObserver
+from ..plants import AbstractModelledPlant
 from ..schema import Positive, Table, key
 from . import _keys as keys
 from ._base import (
@@ -52,11 +53,13 @@ EXAMPLE = Layout(
 
 def load_model(path: str, folder: Path) -> Model:
     """The model of an import `path`, `"module:attribute"`, whose module may lie in
-    `folder`.
+    `folder`; of a plant that is one, that.
 
     **Raises:** [`MachineError`][].
     """
-    return load(path, folder, f"`machine.model`, {path}:", Model, "an `aslo_jax.Model`")
+    what, wanted = f"`machine.model`, {path}:", (Model, AbstractModelledPlant)
+    found = load(path, folder, what, wanted, "an `aslo_jax.Model`, or a plant that is one")
+    return found if isinstance(found, Model) else model_of(found)
 
 
 class DerivedTable(Table):
@@ -64,7 +67,7 @@ class DerivedTable(Table):
 
     kind: Literal["derived"] = key("the kind of machine", example="derived")
     model: Annotated[str, Field(pattern=r"^\w+(\.\w+)*:\w+(\.\w+)*$")] = key(
-        "an `aslo.Model`, or what returns one; Python that is run",
+        "an `aslo.Model`, a plant that is one, or what returns one; Python that is run",
         example="motor:model",
         allowed='"module:attribute", with dots where there are packages',
     )

@@ -20,7 +20,13 @@ def load_system(path: str, folder: Path) -> AbstractMechanicalSystem:
     return load(path, folder, f"`machine.system`, {path}:", AbstractMechanicalSystem, hint)
 
 
-def load(path: str, folder: Path, what: str, wanted: type[Loaded], hint: str) -> Loaded:
+def load(
+    path: str,
+    folder: Path,
+    what: str,
+    wanted: type[Loaded] | tuple[type[Loaded], ...],
+    hint: str,
+) -> Loaded:
     """What `path`, `"package.module:attribute"`, names, or what that returns when it is
     called. Modules of `folder` come before installed ones, for this call only. `what`
     begins the messages, the `hint` says what is `wanted`.

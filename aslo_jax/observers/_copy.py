@@ -81,7 +81,7 @@ class Luenberger(AbstractObserver):
     def of_plant(
         cls,
         plant: AbstractVectorPlant,
-        bandwidth: float,
+        bandwidth: Float[Array, ""] | float,
         initial: Float[Array, " s"] | None = None,
     ) -> "Luenberger":
         """For a plant and its unknown parameters, which are taken to be those of `plant` at

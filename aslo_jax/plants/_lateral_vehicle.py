@@ -75,6 +75,11 @@ class LateralVehicle(AbstractVectorPlant):
         front, rear = self.forces(x[0], y[0], y[2], y[3])
         return [(self.front * front - self.rear * rear) / self.inertia, None, None, None]
 
+    def h(self, x: RealArray, y: RealArray, u: RealArray) -> list[RealArray]:
+        del u
+        front, rear = self.forces(x[0], y[0], y[2], y[3])
+        return [(front + rear) / self.mass + self.bias - y[1]]
+
     def measured(self, x: RealArray, w: RealArray) -> RealArray:
         front, rear = self.forces(x[0], *w)
         return jnp.stack([w[0], (front + rear) / self.mass + self.bias, w[1], w[2]])

@@ -40,7 +40,7 @@ class Levitation(AbstractVectorPlant):
     inputs: ClassVar = {"voltage": Span(-20.0, 20.0, "V")}
     others: ClassVar = {"distance": Span(4e-3, 16e-3, "m")}
     # 10 mm of distance; the flux that carries 60 g
-    first: ClassVar = (0.0118853, 0.0, 0.01)
+    first: ClassVar = (0.011885453, 0.0, 0.01)
 
     def f(self, x: RealArray, y: RealArray, u: RealArray) -> list[RealArray]:
         pull = x[0] ** 2 / (2.0 * self.force_constant * self.mass)
