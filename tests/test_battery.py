@@ -124,9 +124,6 @@ OBSERVERS = {
         WHEEL.system, 1e-3, 1e-8, initial=WHEEL.position(jnp.zeros(()))
     ),
     "oscillator, copy": aslo.observers.Luenberger.of_plant(OSCILLATOR, 20.0),
-    "oscillator, extended Kalman": aslo.ExtendedKalman.of_plant(
-        OSCILLATOR, 1e-3, 1e-3, 1e-8
-    ),
     # Those without a model so fast that they lag by less than 1 %.
     "differentiator, filtered": aslo.FilteredDerivative(aslo.LowPass(300.0)),
     "differentiator, high gain": aslo.HighGain(600.0),
@@ -261,7 +258,6 @@ VARIANTS = (
     *("chain, asymptotic from a guess", "flux, forgetting", "flux, paper", "joined"),
     *("side by side", "flux, FO1, paper", "flux, FO2, both sides", "flux, FO3"),
     *("leg, asymptotic velocities", "leg, varying friction", "flux, extended Kalman"),
-    "oscillator, extended Kalman",
 )
 
 

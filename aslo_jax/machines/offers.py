@@ -239,6 +239,7 @@ def _derived(keys: Any, plant: Any, initial: Any) -> AbstractObserver:
     """ASLO or A-ASLO of the states of a plant that is a model."""
     refuse_keys(keys, "velocity_cutoff")
     found = derive(plant)
+    _refuse_slow(keys, found.slowest)
     return found.observer(
         low_pass(keys.cutoff, None),
         completion=_completion(keys, None),
@@ -247,6 +248,22 @@ def _derived(keys: Any, plant: Any, initial: Any) -> AbstractObserver:
         gain=getattr(keys, "gain", None),
         initial=initial,
     )
+
+
+def _refuse_slow(keys: Any, slowest: float) -> None:
+    """Refuse filters that the fastest mode of a model outruns, whose rows only grow.
+
+    **Raises:** `ValueError`.
+    """
+    own = keys.completion == "repeat" or keys.forgetting is not None
+    limits = ("cutoff", 0.5 * slowest if own else slowest), ("forgetting", slowest)
+    for name, limit in limits:
+        value = getattr(keys, name)
+        if isinstance(value, float) and value <= limit:
+            raise ValueError(
+                f"`{name}` must be above {limit:.4g} rad/s, by the fastest mode of the "
+                f"model, but is {value:.4g}"
+            )
 
 
 def of_model() -> dict[str, Build]:
