@@ -46,6 +46,7 @@ from ._modelled import (
     AbstractModelledPlant as AbstractModelledPlant,
     AbstractVectorPlant as AbstractVectorPlant,
     Span as Span,
+    parameter as parameter,
 )
 from ._oscillators import Lorenz as Lorenz, VanDerPol as VanDerPol
 from ._pmsm import PMSM as PMSM
@@ -96,4 +97,5 @@ __all__ = [
     "VanDerPol",
     "VariableLengthPendulum",
     "WindingFluxRelation",
+    "parameter",
 ]

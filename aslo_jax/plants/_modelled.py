@@ -27,8 +27,8 @@ class Span(NamedTuple):
 
 
 def parameter(about: str, unit: str, default: float, *, sign: str = "+") -> Any:
-    """A field of a plant: what it is `about`, in words, its `unit`, and its `sign`, "+",
-    "0" where it may be zero, or "" where it may have either."""
+    """A field of a plant: what it is `about`, in words, its `unit` and its `default` in it,
+    and its `sign`: "+", "0" where it may be zero, or "" where it may have either."""
     metadata = {"about": about, "unit": unit, "sign": sign}
     return eqx.field(converter=real, default=default, metadata=metadata)
 
