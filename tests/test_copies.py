@@ -11,7 +11,7 @@ from accurate import simulated
 
 import aslo_jax as aslo
 from aslo_jax import plants
-from aslo_jax.control import MotorFeedback, OpenLoop, ReluctanceDrive, StateFeedback
+from aslo_jax.control import OpenLoop, StateFeedback
 from aslo_jax.observers import (
     ExtendedKalman,
     Luenberger,
@@ -141,46 +141,3 @@ def test_state_feedback_places_the_poles_of_levitation():
     np.testing.assert_allclose(poles, -60.0 * np.array([1.25, 1.0, 0.8]), rtol=1e-4)
     with pytest.raises(ValueError, match=r"`gain` must have shape \(1, 3\)"):
         eqx.tree_at(lambda c: c.gain, control, jnp.ones((1, 2))).__check_init__()
-
-
-REFERENCE, LOAD = 80.0, 6.0  # rad/s, N m
-
-
-@pytest.fixture(scope="module")
-def driven():
-    """A reluctance motor whose drive is fed its true angle and speed, for a second."""
-    motor = plants.SynchronousReluctance(load=lambda t: LOAD + 0.0 * t)
-    drive = ReluctanceDrive(motor, lambda t: REFERENCE + 0.0 * t, 8.0, 15.0)
-    flux = aslo.derive(motor).observer(aslo.LowPass(40.0))
-    feed = lambda y, x, e: MotorFeedback(y, motor.pole_pairs * x.angle, x.speed)
-    record = aslo.Experiment(
-        motor, drive, {"flux": flux}, 1e-4, feedback=feed, plant_steps=2
-    ).run(12_000, 20)
-    return motor, drive, record
-
-
-@pytest.mark.slow
-def test_a_reluctance_drive_carries_its_load(driven):
-    """The current across the iron is the load over the constant of torque."""
-    motor, drive, record = driven
-    last = jax.tree.map(lambda x: x[-1], record.x)
-    assert abs(float(last.speed) - REFERENCE) < 1e-2
-    theta = motor.pole_pairs * last.angle
-    current = aslo.control.rotate(-theta, record.y[-1])
-    wanted = [8.0, LOAD / (1.5 * 2 * (41.5e-3 - 6.2e-3) * 8.0)]
-    # A held voltage lags the turning frame by half a sample.
-    np.testing.assert_allclose(current, wanted, rtol=2e-2)
-    currents = np.linalg.norm(record.y, axis=1)
-    assert currents.max() < 1.05 * np.hypot(8.0, 15.0)
-    np.testing.assert_allclose(drive.torque_constant, LOAD / wanted[1])
-
-
-@pytest.mark.slow
-def test_its_flux_and_its_angle_are_found(driven):
-    motor, _, record = driven
-    found = record.estimates["flux"].value[300:]
-    assert np.abs(found - record.hidden[300:]).max() < 2e-3  # Wb, of 0.35
-    across = motor.active_flux(found, record.y[300:])
-    theta = motor.pole_pairs * record.x.angle[300:]
-    error = aslo.observers.wrap(jnp.arctan2(across[:, 1], across[:, 0]) - theta)
-    assert np.abs(error).max() < 0.02
