@@ -9,6 +9,20 @@ NAMES = (
     "robotic_leg",
     "ball_beam",
     "magnetic_bearing",
+    "buck",
+    "boost",
+    "cuk",
+    "synchronous_reluctance",
+    "dc_motor",
+    "dc_motor_with_tachometer",
+    "levitation",
+    "battery",
+    "lateral_vehicle",
+    "chemostat",
+    "van_der_pol",
+    "lorenz",
+    "cart_pole",
+    "drone",
 )
 
 

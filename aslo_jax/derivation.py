@@ -5,6 +5,7 @@ from ._derive.derived import Derived as Derived, derive as derive
 from ._derive.mechanical import DerivedVelocities as DerivedVelocities
 from ._derive.model import Model as Model
 from ._derive.observer import StateObserver as StateObserver
+from ._derive.of_plant import model_of as model_of
 from ._derive.refusal import NotDerivable as NotDerivable
 from ._derive.relation import DerivedRelation as DerivedRelation
 
@@ -17,4 +18,5 @@ __all__ = [
     "NotDerivable",
     "StateObserver",
     "derive",
+    "model_of",
 ]

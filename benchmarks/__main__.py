@@ -1,6 +1,6 @@
 """Every benchmark, or those named on the command line. `--quick`: shorter ones of `pmsm`,
 `tuning` and `calibration`; `--install`: environments for `peers` that need their own;
-`--regime NAME`: of `quality`, that one alone."""
+`--regime NAME`: of `quality`, that one alone; `--only NAME`: of `plants`, that machine."""
 
 import functools
 import sys
@@ -13,6 +13,7 @@ from . import (
     felt,
     import_time,
     peers,
+    plants,
     pmsm,
     quality,
     replay,
@@ -24,7 +25,8 @@ from . import (
     verdict,
 )
 
-FLAGS = {"--quick", "--install", "--regime"}
+NAMED = {"--regime", "--only"}  # followed by a name
+FLAGS = {"--quick", "--install", *NAMED}
 quick = "--quick" in sys.argv
 BENCHMARKS = {
     "felt": felt.main,
@@ -38,6 +40,7 @@ BENCHMARKS = {
     "verdict": verdict.main,
     "calibration": functools.partial(calibration.main, quick),
     "systems": systems.main,
+    "plants": plants.main,
     "ablation": ablation.main,
     "peers": functools.partial(peers.main, "--install" in sys.argv),
     "pmsm": functools.partial(pmsm.main, quick),
@@ -49,7 +52,7 @@ if __name__ == "__main__":
     words = [
         word
         for before, word in zip(sys.argv, sys.argv[1:], strict=False)
-        if word not in FLAGS and before != "--regime"
+        if word not in FLAGS and before not in NAMED
     ]
     names = words or list(BENCHMARKS)
     if unknown := set(names) - set(BENCHMARKS):

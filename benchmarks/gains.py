@@ -19,20 +19,22 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
+from aslo_jax.derivation import derive
 from aslo_jax.engines import Runner
 from aslo_jax.metrics import RMSError
 from aslo_jax.observers import HighGain, ReducedLuenberger, SteadyStateKalman
+from aslo_jax.plants import AbstractModelledPlant
 from aslo_jax.study._config import NAMES, configure
 from aslo_jax.study._spread import Sampler
 
 GAINS = {
-    "aslo": ("cutoff",),
+    "aslo": ("cutoff", "forgetting"),
     "a-aslo": ("cutoff", "gain"),
     "fo1": ("cutoff", "gain"),
     "fo2": ("gain",),
     "fo3": ("cutoff", "gain"),
     "luenberger": ("gain",),
-    "kalman": ("process",),
+    "kalman": ("process", "drift"),
     "high_gain": ("bandwidth",),
     "super_twisting": ("bound",),
     "filtered_derivative": ("cutoff",),
@@ -40,24 +42,31 @@ GAINS = {
 LINEAR = (HighGain, ReducedLuenberger, SteadyStateKalman)
 BEARING = ("cutoff", "forgetting", "velocity_cutoff")
 CANDIDATES, SAMPLES, SEED = 24, 64, 2_026
+ABOVE = 1.05  # the slowest filter of a derived relation, for the search
 # Of intensities, whose fourth root is a bandwidth, a wider search.
-WIDER = {"process": 4.0, "bound": 2.0}
+WIDER = {"process": 4.0, "drift": 4.0, "bound": 2.0}
 
 
 def tuned(name: str) -> dict[str, dict[str, float]]:
     """The gains of every observer of the study `name`."""
     text = (files("aslo_jax.study") / "configs" / f"{name}.toml").read_text("utf-8")
-    content = tomllib.loads(text)
+    return searched(name, tomllib.loads(text))
+
+
+def searched(name: str, content: dict[str, Any]) -> dict[str, dict[str, float]]:
+    """The same of a study by its `content`, which is changed."""
     names = {
-        observer: BEARING if name == "magnetic_bearing" else GAINS[table["kind"]]
+        observer: BEARING
+        if name == "magnetic_bearing"
+        else tuple(gain for gain in GAINS[table["kind"]] if gain in table)
         for observer, table in content["observers"].items()
         if table["kind"] in GAINS  # others have none
     }
     content["observers"] = {k: content["observers"][k] for k in names}
-    search = None
+    search, floors = None, _floors(content)
     for span in (10.0, 2.0):
         candidates = {
-            observer: _around(content["observers"][observer], gains, span, k)
+            observer: _around(content["observers"][observer], gains, span, k, floors)
             for k, (observer, gains) in enumerate(names.items())
         }
         observers = [
@@ -153,8 +162,21 @@ def _is_linear(observer: Any) -> bool:
     return any(isinstance(x, LINEAR) for x in found)
 
 
+def _floors(content: dict[str, Any]) -> dict[str, float]:
+    """What gains must be above, of a plant that is a model."""
+    plant = configure(copy.deepcopy(content)).experiment.plant
+    if not isinstance(plant, AbstractModelledPlant):
+        return {}
+    slowest = ABOVE * derive(plant).slowest
+    return {"cutoff": slowest, "forgetting": slowest}
+
+
 def _around(
-    table: dict[str, Any], gains: tuple[str, ...], span: float, seed: int
+    table: dict[str, Any],
+    gains: tuple[str, ...],
+    span: float,
+    seed: int,
+    floors: dict[str, float],
 ) -> list[dict[str, float]]:
     """Sets of gains about those of a table, which come first."""
     u = 2.0 * qmc.Sobol(len(gains), rng=seed).random(32)[: CANDIDATES - 1] - 1.0
@@ -162,7 +184,10 @@ def _around(
     for point in u:
         sets.append(
             {
-                gain: float(f"{table[gain] * span ** (WIDER.get(gain, 1.0) * x):.3g}")
+                gain: max(
+                    float(f"{table[gain] * span ** (WIDER.get(gain, 1.0) * x):.3g}"),
+                    float(f"{floors.get(gain, 0.0):.3g}"),
+                )
                 for gain, x in zip(gains, point, strict=True)
             }
         )

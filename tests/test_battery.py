@@ -51,6 +51,8 @@ SALIENT = Prescribed(
     lambda t: PrescribedPMSM(direct=-2.0).current(t) * (1 + 0.4 * jnp.sin(9 * t)),
 )
 
+OSCILLATOR = aslo.plants.VanDerPol()
+
 
 def flux(completion=None, **settings):
     completion = aslo.LeastSquares() if completion is None else completion
@@ -124,6 +126,7 @@ OBSERVERS = {
     "wheel, extended Kalman": aslo.ExtendedKalman.of_mechanical(
         WHEEL.system, 1e-3, 1e-8, initial=WHEEL.position(jnp.zeros(()))
     ),
+    "oscillator, copy": aslo.observers.Luenberger.of_plant(OSCILLATOR, 20.0),
     # Those without a model so fast that they lag by less than 1 %.
     "differentiator, filtered": aslo.FilteredDerivative(aslo.LowPass(300.0)),
     "differentiator, high gain": aslo.HighGain(600.0),
@@ -174,6 +177,11 @@ def log(name):
         x2 = 0.3 + jnp.concatenate([zero, jnp.cumsum(u[:-1] * DT)])
         x1 = 0.2 + jnp.concatenate([zero, jnp.cumsum((x2 * DT + u * DT**2 / 2)[:-1])])
         return u, x1, x2[:, None]
+    if name.startswith("oscillator"):
+        force = lambda t: jnp.stack([0.5 * jnp.cos(2 * t)])
+        first = jnp.array([0.7, 0.9])
+        record = aslo.Experiment(OSCILLATOR, force, {}, DT, initial=first).run(N - 1)
+        return record.u, record.y, record.hidden
     if name.startswith(("leg", "differentiator")):
         return log("leg")
     if name.startswith("wheel"):

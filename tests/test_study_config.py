@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from aslo_jax.cli import main
+from aslo_jax.machines._modelled import PLANTS
 from aslo_jax.study import open_study
 from aslo_jax.study._config import NAMES, ConfigurationError, configure, read_configuration
 from aslo_jax.study._spread import Sampler, names_of
@@ -67,7 +68,14 @@ def test_every_ready_made_study_has_a_name():
     assert {f"{name}.toml" for name in NAMES} == {f.name for f in FOLDER.iterdir()}
 
 
-@pytest.mark.parametrize("name", NAMES)
+# Of those whose plants are models, made alike, the drone stands for the others.
+STEPPED = [
+    pytest.param(name, marks=pytest.mark.slow if name in {*PLANTS} - {"drone"} else ())
+    for name in NAMES
+]
+
+
+@pytest.mark.parametrize("name", STEPPED)
 def test_ready_made_studies_step(name):
     """They can be read, every spread names something, and a step of a sample keeps all
     shapes and types; what is estimated has the shape of what is hidden."""

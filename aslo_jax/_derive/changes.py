@@ -156,7 +156,8 @@ def _factor(lowered: Lowered, i: int, rows: dict[int, Any]) -> Factor | None:
         return None
     size = np.abs(scattered).max(initial=1e-300)
     varying = np.flatnonzero(np.ptp(scattered, axis=0) > SAME * size)
-    slopes = np.where(np.isin(np.arange(scattered.shape[1]), varying), 0.0, scattered[0])
+    slopes = np.where(np.abs(scattered[0]) > SAME * size, scattered[0], 0.0)  # no rounding
+    slopes[varying] = 0.0
     constants = tuple(float(k) for k in slopes)
     if not varying.size:
         return Factor(constants)

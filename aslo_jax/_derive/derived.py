@@ -13,7 +13,7 @@ from .._filters import AbstractFilter
 from .._guard import Guard
 from .._structure import Region
 from ..observers import Lifted
-from ..plants import AbstractMechanicalSystem
+from ..plants import AbstractMechanicalSystem, AbstractModelledPlant
 from .certificate import Certificate, certificate
 from .changes import Change, changed, integrating
 from .closure import Closure, Constant
@@ -23,6 +23,7 @@ from .lifted import Lowered, closed, lower
 from .mechanical import DerivedVelocities, derive_velocities
 from .model import Model
 from .observer import Coordinates, StateObserver, state_observer
+from .of_plant import once
 from .plant import ModelPlant, plant_of
 from .polynomials import Ring, Sampled
 from .refusal import reason, refusal
@@ -183,7 +184,7 @@ def _drawn(ranges: Any, seed: int = 0) -> np.ndarray:
 
 
 @overload
-def derive(model: Model, region: None = None) -> Derived: ...
+def derive(model: Model | AbstractModelledPlant, region: None = None) -> Derived: ...
 @overload
 def derive(
     model: AbstractMechanicalSystem, region: Region | None = None
@@ -191,9 +192,11 @@ def derive(
 
 
 def derive(
-    model: Model | AbstractMechanicalSystem, region: Region | None = None
+    model: Model | AbstractModelledPlant | AbstractMechanicalSystem,
+    region: Region | None = None,
 ) -> Derived | DerivedVelocities:
-    """Derive the algebraic observer of what a `model` does not measure.
+    """Derive the algebraic observer of what a `model` does not measure, or of the hidden
+    part of a plant that is one; that of a plant is kept for the next time.
 
     Its functions are traced and lowered as for the fused engine, and interpreted as
     polynomials in the states (with sines, cosines and exponentials of these, every branch
@@ -217,10 +220,13 @@ def derive(
     """
     if isinstance(model, AbstractMechanicalSystem):
         return derive_velocities(model, region)
-    if not isinstance(model, Model):
-        raise unlike("model", model, "a `Model` or an `AbstractMechanicalSystem`")
     if region is not None:
         raise ValueError("Argument `region` must be left out for a model with ranges.")
+    if isinstance(model, AbstractModelledPlant):
+        return once(model, derive)
+    if not isinstance(model, Model):
+        hint = "a `Model`, a plant that is one or an `AbstractMechanicalSystem`"
+        raise unlike("model", model, hint)
     lowered = lower(model)
     closure, algebra = closed(lowered)
     for find in (integrating, covectors) if closure.failures else ():

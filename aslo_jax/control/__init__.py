@@ -1,4 +1,5 @@
-"""Controllers: open loop, of motors with an angle and without, bearings, mechanisms."""
+"""Controllers: open loop, of motors with an angle and without, bearings, mechanisms, and
+of what does not stay where it is."""
 
 from ._base import AbstractController as AbstractController, OpenLoop as OpenLoop
 from ._field_oriented import (
@@ -11,6 +12,8 @@ from ._magnetic_levitation import (
     BearingFeedback as BearingFeedback,
     MagneticLevitation as MagneticLevitation,
 )
+from ._reluctance_drive import ReluctanceDrive as ReluctanceDrive
+from ._state_feedback import StateFeedback as StateFeedback
 from ._tracking import (
     BallBeamTracking as BallBeamTracking,
     MechanicalFeedback as MechanicalFeedback,
@@ -27,6 +30,8 @@ __all__ = [
     "MechanicalFeedback",
     "MotorFeedback",
     "OpenLoop",
+    "ReluctanceDrive",
+    "StateFeedback",
     "Tracking",
     "rotate",
 ]

@@ -13,9 +13,9 @@ from .._completions import LeastSquares, Repeat
 from .._derive.plant import ModelOfPlant, ModelPlant
 from .._filters import LowPass
 from .._guard import Guard
-from ..derivation import Derived, Model, derive
+from ..derivation import Derived, Model, derive, model_of
 from ..observers import AbstractObserver, ExtendedKalman
-from ..plants import AbstractMechanicalSystem
+from ..plants import AbstractMechanicalSystem, AbstractModelledPlant
 from ..schema import Table, hint, key
 from ._python import load
 from ._study import Build, Study
@@ -26,17 +26,22 @@ THRESHOLD = 1e-6  # relation's x may have many entries: a relative error of 0.1 
 
 def load_model(path: str, folder: Path) -> Model:
     """The model of an import `path`, `"module:attribute"`, whose module may lie in
-    `folder`.
+    `folder`; of a plant that is one, that.
 
     **Raises:** [`MachineError`][].
     """
-    return load(path, folder, f"`machine.model`, {path}:", Model, "an `aslo_jax.Model`")
+    wanted = Model | AbstractModelledPlant
+    hint = "an `aslo_jax.Model`, or a plant that is one"
+    found = load(path, folder, f"`machine.model`, {path}:", wanted, hint)
+    return found if isinstance(found, Model) else model_of(found)
 
 
 def load_derivable(path: str, folder: Path) -> Model | AbstractMechanicalSystem:
     """A model, or a mechanical system, as [`load_model`][]."""
-    hint = "an `aslo_jax.Model` or an `AbstractMechanicalSystem`"
-    return load(path, folder, f"{path}:", Model | AbstractMechanicalSystem, hint)
+    wanted = Model | AbstractModelledPlant | AbstractMechanicalSystem
+    hint = "an `aslo_jax.Model`, a plant that is one or an `AbstractMechanicalSystem`"
+    found = load(path, folder, f"{path}:", wanted, hint)
+    return model_of(found) if isinstance(found, AbstractModelledPlant) else found
 
 
 class DerivedTable(Table):
@@ -49,7 +54,7 @@ class DerivedTable(Table):
 
     kind: Literal["derived"] = key("the kind of machine", example="derived")
     model: Annotated[str, Field(pattern=r"^\w+(\.\w+)*:\w+(\.\w+)*$")] = key(
-        "an `aslo.Model`, or what returns one; Python that is run",
+        "an `aslo.Model`, a plant that is one, or what returns one; Python that is run",
         example="motor:model",
         allowed='"module:attribute", with dots where there are packages',
     )
@@ -164,7 +169,7 @@ def _offers(found: Derived) -> dict[str, Build]:
         )
 
     def kalman(keys: Any, plant: ModelPlant, start: Any) -> AbstractObserver:
-        refuse_keys(keys, "voltage")
+        refuse_keys(keys, "voltage", "drift")
         return extended_kalman(plant, start, keys.process, keys.measurement)
 
     def lifted(keys: Any, plant: Any, start: Any) -> AbstractObserver:

@@ -9,6 +9,7 @@ from ._drive import DriveDescription
 from ._interior_pmsm import InteriorPMSMDescription
 from ._magnetic_bearing import MagneticBearingDescription
 from ._mechanical import MechanicalDescription
+from ._modelled import STUDIES as MODELLED
 from ._pmsm import PMSMDescription
 from ._robotic_leg import RoboticLegDescription
 from ._stepper import StepperDescription
@@ -33,7 +34,7 @@ KINDS: dict[str, Kind] = {
     )
 }
 # Of which there are studies, and no logs.
-IDEAL: dict[str, Study] = {study.kind: study for study in (DOUBLE_INTEGRATOR,)}
+IDEAL: dict[str, Study] = {study.kind: study for study in (DOUBLE_INTEGRATOR, *MODELLED)}
 
 
 def known_kind(name: object, what: str = "`machine.kind`") -> Kind:

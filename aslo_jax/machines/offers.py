@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from .._completions import AbstractCompletion, LeastSquares, Repeat
 from .._filters import LowPass
 from .._guard import Guard
+from ..derivation import derive
 from ..observers import (
     FO1,
     FO2,
@@ -24,6 +25,7 @@ from ..observers import (
     HighGain,
     Joined,
     Lifted,
+    Luenberger,
     OpenLoopIntegrator,
     SuperTwisting,
     Unwrapped,
@@ -76,15 +78,16 @@ def refuse_keys(keys: Any, *names: str) -> None:
             )
 
 
-def refuse_list(keys: Any, name: str) -> None:
-    """Refuse a list where one number is meant.
+def one_number(keys: Any, *names: str) -> None:
+    """Refuse several numbers where an observer takes one.
 
     **Raises:** `ValueError`.
     """
-    if isinstance(getattr(keys, name), list):
-        raise ValueError(
-            f"`{name}` must be one number for this machine, but is {getattr(keys, name)}"
-        )
+    for name in names:
+        if isinstance(value := getattr(keys, name), list):
+            raise ValueError(
+                f"`{name}` must be one number for this machine, but is {value}"
+            )
 
 
 def _guard(keys: Any, threshold: float) -> Guard:
@@ -166,8 +169,9 @@ def of_round_motor() -> dict[str, Build]:
 
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         del start
+        refuse_keys(keys, "drift")
+        one_number(keys, "measurement")
         process = jnp.asarray(keys.process, float)
-        refuse_list(keys, "measurement")
         relation = plant.flux_relation()
         return ExtendedKalman.of_pmsm(relation, keys.voltage, process, keys.measurement)
 
@@ -191,8 +195,8 @@ def of_mechanism(*, threshold: float) -> dict[str, Build]:
         )
 
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
-        refuse_keys(keys, "voltage")
-        refuse_list(keys, "measurement")
+        refuse_keys(keys, "voltage", "drift")
+        one_number(keys, "measurement")
         process = jnp.asarray(keys.process, float)
         return ExtendedKalman.of_mechanical(
             plant, process, keys.measurement, 1.0, initial=start.position
@@ -229,3 +233,78 @@ def _unwrapping(build: Build) -> Build:
         return Unwrapped(observer, plant.angles) if any(plant.angles) else observer
 
     return unwrapped
+
+
+MODEL = 1e-6  # the threshold of a derived relation, whose x may have many entries
+
+
+def _derived(keys: Any, plant: Any, initial: Any) -> AbstractObserver:
+    """ASLO or A-ASLO of the states of a plant that is a model."""
+    refuse_keys(keys, "velocity_cutoff")
+    found = derive(plant)
+    _refuse_slow(keys, found.slowest)
+    return found.observer(
+        low_pass(keys.cutoff, None),
+        completion=_completion(keys, None),
+        guard=_guard(keys, MODEL),
+        start=keys.start,
+        gain=getattr(keys, "gain", None),
+        initial=initial,
+    )
+
+
+def _refuse_slow(keys: Any, slowest: float) -> None:
+    """Refuse filters that the fastest mode of a model outruns, whose rows only grow.
+
+    **Raises:** `ValueError`.
+    """
+    own = keys.completion == "repeat" or keys.forgetting is not None
+    limits = ("cutoff", 0.5 * slowest if own else slowest), ("forgetting", slowest)
+    for name, limit in limits:
+        value = getattr(keys, name)
+        if isinstance(value, float) and value <= limit:
+            raise ValueError(
+                f"`{name}` must be above {limit:.4g} rad/s, by the fastest mode of the "
+                f"model, but is {value:.4g}"
+            )
+
+
+def of_model() -> dict[str, Build]:
+    """Those of a plant that is a model: what is derived from it, and copies of it. All
+    begin with its parameters and first state."""
+
+    def derived(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        return _derived(keys, plant, plant.hidden(start))
+
+    def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        refuse_keys(keys, "voltage")
+        one_number(keys, "process")
+        drift = keys.process if keys.drift is None else keys.drift
+        measurement = jnp.asarray(keys.measurement, float)
+        return ExtendedKalman.of_plant(plant, keys.process, drift, measurement, start)
+
+    def luenberger(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        return Luenberger.of_plant(plant, keys.gain, start)
+
+    return {
+        "aslo": derived,
+        "a-aslo": derived,
+        "kalman": kalman,
+        "luenberger": luenberger,
+    }
+
+
+def of_modelled_machine() -> dict[str, Build]:
+    """Those of an electrical machine that is a model."""
+
+    def derived(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        return _derived(keys, plant, plant.hidden(start))
+
+    def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        refuse_keys(keys, "drift")
+        one_number(keys, "process", "measurement")
+        return ExtendedKalman.of_machine(
+            plant, keys.voltage, keys.process, keys.measurement, flux=start.flux
+        )
+
+    return {"aslo": derived, "a-aslo": derived, "kalman": kalman}

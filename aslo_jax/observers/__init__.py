@@ -18,18 +18,13 @@ from ._base import (
 )
 from ._bearing import BearingObserver as BearingObserver
 from ._compose import Joined as Joined, SideBySide as SideBySide, Staged as Staged
+from ._copy import Luenberger as Luenberger
 from ._differentiators import (
     FilteredDerivative as FilteredDerivative,
     HighGain as HighGain,
     SuperTwisting as SuperTwisting,
 )
-from ._extended_kalman import (
-    AbstractModel as AbstractModel,
-    Belief as Belief,
-    ExtendedKalman as ExtendedKalman,
-    MechanicalModel as MechanicalModel,
-    PMSMModel as PMSMModel,
-)
+from ._extended_kalman import Belief as Belief, ExtendedKalman as ExtendedKalman
 from ._fo1 import FO1 as FO1
 from ._fo2 import FO2 as FO2
 from ._fo3 import FO3 as FO3
@@ -38,7 +33,13 @@ from ._kalman import SteadyStateKalman as SteadyStateKalman
 from ._lifted import Lifted as Lifted
 from ._lifted_velocities import LiftedVelocities as LiftedVelocities
 from ._luenberger import ReducedLuenberger as ReducedLuenberger
+from ._models import (
+    AbstractModel as AbstractModel,
+    MechanicalModel as MechanicalModel,
+    PMSMModel as PMSMModel,
+)
 from ._open_loop import OpenLoopIntegrator as OpenLoopIntegrator
+from ._plant_model import MachineModel as MachineModel, PlantModel as PlantModel
 from ._pll import PhaseLockedLoop as PhaseLockedLoop, wrap as wrap
 from ._self_consistent import SelfConsistent as SelfConsistent
 from ._unwrapped import Unwrapped as Unwrapped
@@ -72,6 +73,8 @@ __all__ = [
     "Joined",
     "Lifted",
     "LiftedVelocities",
+    "Luenberger",
+    "MachineModel",
     "MagnetAngle",
     "MechanicalModel",
     "MomentumRelation",
@@ -79,6 +82,7 @@ __all__ = [
     "OpenLoopIntegrator",
     "PMSMModel",
     "PhaseLockedLoop",
+    "PlantModel",
     "ReducedLuenberger",
     "SelfConsistent",
     "SideBySide",

@@ -1,6 +1,5 @@
 """The extended Kalman filter, its Jacobians by automatic differentiation."""
 
-import abc
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -11,89 +10,23 @@ from jaxtyping import Array, Float
 
 from .._checks import is_concrete, positive, real
 from .._filters import AbstractLaw
-from .._module import Module
 from .._realise import Pass
 from .._runge_kutta import runge_kutta
 from .._small import safe_reciprocal, solve_definite
 from .._typing import PyTree, RealArray
-from ..plants import AbstractMechanicalSystem, FluxRelation
+from ..plants import (
+    AbstractMachine,
+    AbstractMechanicalSystem,
+    AbstractVectorPlant,
+    FluxRelation,
+)
 from ._base import AbstractObserver, Estimate
 from ._lifted_filter import grown, hole_of
 from ._missing import DOUBT
+from ._models import AbstractModel, MechanicalModel, PMSMModel
+from ._plant_model import MachineModel, PlantModel
 
-__all__ = ["AbstractModel", "Belief", "ExtendedKalman", "MechanicalModel", "PMSMModel"]
-
-
-class AbstractModel(Module):
-    """`x' = f(x, u) + noise`, `y = h(x) + noise`."""
-
-    @abc.abstractmethod
-    def drift(self, x: Float[Array, " n"], u: PyTree) -> Float[Array, " n"]:
-        """`f(x, u)`, units of x per second."""
-
-    @abc.abstractmethod
-    def output(self, x: Float[Array, " n"]) -> Float[Array, " p"]:
-        """`h(x)`, what is measured."""
-
-    @abc.abstractmethod
-    def select(self, x: Float[Array, " n"]) -> Float[Array, " k"]:
-        """What of x is the estimate."""
-
-    def signals_of(self, n: int) -> dict[str, tuple[int, ...]]:
-        """The shapes of u and y beside a state of n entries, where they are known."""
-        del n
-        return {}
-
-
-class PMSMModel(AbstractModel):
-    """A non-salient PMSM whose electrical speed is a random walk: `x = (flux, speed,
-    angle)`, the stator flux (Wb, two entries), the electrical speed (rad/s) and the
-    electrical angle (rad, unwrapped). Input the voltage (V), output the current (A), the
-    estimate the stator flux (Wb), each of shape `(2,)`.
-
-    - `relation`: of the flux and the current, with the machine's parameters.
-
-    Source: paper, eqs. (sys) and (flucur).
-    """
-
-    relation: FluxRelation
-
-    def drift(self, x: RealArray, u: PyTree) -> RealArray:
-        flux = u - self.relation.resistance * self.output(x)
-        return jnp.stack([flux[0], flux[1], jnp.zeros_like(x[2]), x[2]])
-
-    def output(self, x: RealArray) -> RealArray:
-        magnet = self.relation.magnet_flux * jnp.stack([jnp.cos(x[3]), jnp.sin(x[3])])
-        return (x[:2] - magnet) / self.relation.inductance
-
-    def select(self, x: RealArray) -> RealArray:
-        return x[:2]
-
-    def signals_of(self, n: int) -> dict[str, tuple[int, ...]]:
-        return {"u": (2,), "y": (2,)}
-
-
-class MechanicalModel(AbstractModel):
-    """A mechanical `system`: `x = (q, q')`, input the generalised forces, shape `(m,)`,
-    output the positions, estimate the velocities, each of shape `(n,)`.
-
-    Source: paper, eq. (EL).
-    """
-
-    system: AbstractMechanicalSystem
-
-    def drift(self, x: RealArray, u: PyTree) -> RealArray:
-        q, velocity = jnp.split(x, 2)
-        return jnp.concatenate([velocity, self.system.acceleration(q, velocity, u)])
-
-    def output(self, x: RealArray) -> RealArray:
-        return jnp.split(x, 2)[0]
-
-    def select(self, x: RealArray) -> RealArray:
-        return jnp.split(x, 2)[1]
-
-    def signals_of(self, n: int) -> dict[str, tuple[int, ...]]:
-        return self.system.signals_of(n // 2)
+__all__ = ["Belief", "ExtendedKalman"]
 
 
 class Belief(NamedTuple):
@@ -282,6 +215,77 @@ class ExtendedKalman(AbstractObserver):
             jnp.diag(whole(position)),
             jnp.concatenate([initial, zero]),
             jnp.diag(jnp.concatenate([1e-3 * spread, spread]) ** 2),
+        )
+
+    @classmethod
+    def of_plant(
+        cls,
+        plant: AbstractVectorPlant,
+        process: Float[Array, ""] | float,
+        drift: Float[Array, ""] | float,
+        measurement: Float[Array, "*p"] | float,
+        initial: Float[Array, " s"] | None = None,
+    ) -> "ExtendedKalman":
+        """For a plant and its unknown parameters ([`PlantModel`][]), from two-sided
+        intensities: `process` of the noise on the rate of every state, over the square of
+        half of its range (1/s); `drift` of that on every unknown parameter, over the square
+        of half of its value (1/s); `measurement` of that on the outputs, in their units
+        squared times second, shape `()` or `(p,)`. The first belief is the state
+        `initial`, shape `(s,)`, by default the plant's own, and the plant's own parameters,
+        each known to half of its range or value."""
+        process, drift, measurement = map(real, (process, drift, measurement))
+        for name, value in (
+            ("process", process),
+            ("drift", drift),
+            ("measurement", measurement),
+        ):
+            positive(name, value)
+        model, n = PlantModel(plant), len(plant.states)
+        x = model.joined(plant.initial() if initial is None else real(initial))
+        square = jnp.asarray(model.spans(), x.dtype) ** 2
+        constant = (jnp.arange(x.size) >= n) & (jnp.arange(x.size) < n + len(plant.unknown))
+        return cls(
+            model,
+            jnp.diag(square * jnp.where(constant, drift, process)),
+            jnp.diag(jnp.broadcast_to(measurement, (len(plant.outputs),))),
+            x,
+            jnp.diag(square),
+        )
+
+    @classmethod
+    def of_machine(
+        cls,
+        machine: AbstractMachine,
+        voltage: Float[Array, ""] | float,
+        acceleration: Float[Array, ""] | float,
+        current: Float[Array, ""] | float,
+        *,
+        flux: Float[Array, " n"],
+        speed_deviation: Float[Array, ""] | float = 100.0,
+    ) -> "ExtendedKalman":
+        """For any electrical machine ([`MachineModel`][]), from the two-sided intensities
+        of the noise on the `voltage` (V^2 s), of the electrical `acceleration` (rad^2/s^3)
+        and of the noise on the `current` (A^2 s). The first belief is the `flux` (Wb),
+        shape `(n,)`, at angle zero and standstill, known to no better than its size, half a
+        turn of the angle, and `speed_deviation` (rad/s) of the electrical speed."""
+        voltage, acceleration, current = map(real, (voltage, acceleration, current))
+        for name, value in (
+            ("voltage", voltage),
+            ("acceleration", acceleration),
+            ("current", current),
+        ):
+            positive(name, value)
+        flux = real(flux)
+        n, zero = flux.size, jnp.zeros(2, flux.dtype)
+        size = jnp.sqrt(jnp.sum(flux**2))
+        spread = jnp.stack([*[size] * n, zero[0] + speed_deviation, zero[0] + jnp.pi])
+        process = jnp.stack([*[voltage] * n, acceleration, zero[0]])
+        return cls(
+            MachineModel(machine),
+            jnp.diag(process),
+            current * jnp.eye(n, dtype=current.dtype),
+            jnp.concatenate([flux, zero]),
+            jnp.diag(spread**2),
         )
 
     @property

@@ -5,6 +5,7 @@ import math
 from typing import Annotated, Any, Literal
 
 import equinox as eqx
+import jax.numpy as jnp
 from pydantic import Field
 
 from ..._derive.plant import ModelPlant
@@ -18,6 +19,8 @@ from ...control import (
     MechanicalFeedback,
     MotorFeedback,
     OpenLoop,
+    ReluctanceDrive,
+    StateFeedback,
     Tracking,
 )
 from ...schema import Positive, Signal, Table, WaveTable, key
@@ -47,6 +50,23 @@ class PositionSensor(Module):
     def __call__(self, y: Any, x: Any, estimates: dict[str, Any]) -> BearingFeedback:
         del estimates
         return BearingFeedback(y, x.flux, x.position, x.velocity)
+
+
+class TrueState(Module):
+    """The true state of the plant."""
+
+    def __call__(self, y: Any, x: Any, estimates: dict[str, Any]) -> Any:
+        del y, estimates
+        return x
+
+
+class Nothing(Module):
+    """A signal of `count` entries that are zero."""
+
+    count: int = eqx.field(static=True)
+
+    def __call__(self, t: Any) -> Any:
+        return jnp.zeros(self.count, t.dtype)
 
 
 class OpenLoopTable(Table):
@@ -125,8 +145,49 @@ class LevitationTable(Table):
         return MagneticLevitation(plant, reference, **settings), PositionSensor()
 
 
+class NoControlTable(Table):
+    """Of a plant without inputs."""
+
+    kind: Literal["none"] = key("the kind of control")
+
+    def build(self, plant: Any) -> tuple[AbstractController, Any]:
+        return OpenLoop(Nothing(len(plant.inputs))), None
+
+
+class StateFeedbackTable(Table):
+    """A plant that is held where it starts."""
+
+    kind: Literal["state_feedback"] = key("the kind of control")
+    bandwidth: Positive = key("of its poles", "rad/s")
+    signal: WaveTable = key("what is added to the input", default=WaveTable())
+
+    def build(self, plant: Any) -> tuple[AbstractController, Any]:
+        signal = self.signal.signal()
+        return StateFeedback.of_plant(plant, self.bandwidth, signal), TrueState()
+
+
+class ReluctanceDriveTable(Table):
+    """Speed control of a synchronous reluctance motor."""
+
+    kind: Literal["reluctance_drive"] = key("the kind of control")
+    reference: WaveTable = key("mechanical speed (rad/s)")
+    direct_current: Positive = key("current along the iron", "A")
+    current_limit: Positive = key("largest current across it", "A")
+    voltage_limit: Positive = key("largest voltage", "V", default=1e6)
+    flux_bandwidth: Positive = key("of the fluxes", "rad/s", default=1000.0)
+    speed_bandwidth: Positive = key("of the speed", "rad/s", default=50.0)
+
+    def build(self, plant: Any) -> tuple[AbstractController, Any]:
+        settings = self.model_dump(exclude={"kind", "reference"})
+        controller = ReluctanceDrive(plant, self.reference.signal(), **settings)
+        return controller, MotorEncoder(plant.pole_pairs)
+
+
 Control = Annotated[
     OpenLoopTable
+    | NoControlTable
+    | StateFeedbackTable
+    | ReluctanceDriveTable
     | FieldOrientedTable
     | TrackingTable
     | BallBeamTrackingTable

@@ -97,13 +97,20 @@ class KalmanTable(AbstractObserverTable):
 
     kind: Literal["kalman"] = key("the kind of observer")
     process: Positive | Annotated[list[Positive], Field(min_length=1)] = key(
-        "two-sided intensity of the noise on the acceleration (m^2/s^3, rad^2/s^3), of a "
-        "model on every rate",
+        "two-sided intensity of the noise on the acceleration (m^2/s^3, rad^2/s^3); of a "
+        'machine of kind "derived" on every rate, of a ready-made plant that is a model on '
+        "the rates over the squares of half the ranges (1/s)",
         allowed="a positive finite number, or a list of them",
     )
     measurement: Positive | Annotated[list[Positive], Field(min_length=1)] = key(
         "two-sided intensity of the noise on the measurement (its unit squared, s)",
-        allowed="a positive finite number, or of a model a list of them",
+        allowed="a positive finite number, or one for each output",
+    )
+    drift: Positive | None = key(
+        "that on the unknown parameters of a plant that is a model, over the squares of "
+        "half their values, by default as `process`",
+        "1/s",
+        default=None,
     )
     voltage: Positive = key(
         "two-sided intensity of the noise on the voltage of a motor", "V^2 s", default=1e-6
