@@ -12,6 +12,7 @@ except ModuleNotFoundError as error:
 
 from ._calibrate import calibrate
 from ._derive import derive
+from ._docs import docs
 from ._estimate import Explained, estimate
 from ._export import export
 from ._paper import paper
@@ -53,4 +54,5 @@ app.command()(export)
 app.command()(derive)
 app.command()(sample)
 app.command()(paper)
+app.command()(docs)
 app.command(help=STUDY_HELP)(study)
