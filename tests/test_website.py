@@ -210,17 +210,21 @@ def test_the_site_is_small_and_the_same_when_it_is_built_again(html, tmp_path):
         )
 
 
+SEARCH = "document.activeElement.shadowRoot"
+
+
 @pytest.mark.slow
 def test_search_finds_and_nothing_is_asked_of_a_network(html, tmp_path):
     with browser.browser(tmp_path) as page:
         for name in ("index", "reference/filters"):
             page.open((html / f"{name}.html").as_uri())
             page.value("document.querySelector('.md-search__button').click()")
-            page.until("document.activeElement.tagName === 'INPUT'")
+            # The window of the search is in a tree of its own.
+            page.until(f"{SEARCH} && {SEARCH}.activeElement?.tagName === 'INPUT'")
             page.type("LowPass")
             link = page.until(
-                "[...document.querySelectorAll('a[href*=\"filters.html\"]')]"
-                ".map(a => a.href).find(h => h.includes('LowPass'))"
+                f"[...{SEARCH}.querySelectorAll('a')].map(a => a.href)"
+                ".find(each => each.includes('LowPass'))"
             )
             assert "reference/filters.html" in link
             assert page.errors() == []

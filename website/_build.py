@@ -118,7 +118,7 @@ def configuration() -> dict[str, object]:
                             "paths": [str(ROOT)],
                             "options": {
                                 "allow_inspection": False,
-                                "extensions": ["website._griffe"],
+                                "extensions": ["dataclasses", "website._griffe"],
                                 "scoped_crossrefs": True,
                                 "show_root_heading": True,
                                 "show_root_full_path": False,

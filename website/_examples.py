@@ -15,6 +15,7 @@ from . import PACKAGE, ROOT
 from ._names import Name, public_names
 
 PYTHON = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LIBRARY = 5  # the rank of the library's own code, the last resort
 LONGEST = 32  # lines of an example; of longer code only the statements that use the name
 
 
@@ -48,17 +49,21 @@ def examples() -> dict[str, list[Example]]:
             if shown.count("\n") <= LONGEST:
                 example = Example(source, title, shown.strip("\n"))
                 found[path].append((rank, len(shown), example))
+    ranked = {path: sorted(some, key=lambda each: each[:2]) for path, some in found.items()}
     best = {
-        path: [each[2] for each in sorted(some, key=lambda each: each[:2])]
-        for path, some in found.items()
+        path: [example for rank, _, example in some if rank < LIBRARY]
+        for path, some in ranked.items()
     }
-    for each in public_names():
-        best[each.path] += [
-            replace(example, through=other)
-            for other in related(each)
-            if other != each.path
-            for example in best[other][:1]
-        ]
+    # Twice, since what is related may itself be found by what is related to it.
+    for each in 2 * public_names():
+        if not best[each.path]:
+            best[each.path] = [
+                replace(example, through=other)
+                for other in related(each)
+                for example in best[other][:1]
+            ]
+    for path, some in ranked.items():
+        best[path] = best[path] or [example for _, _, example in some]
     return best
 
 
@@ -135,7 +140,10 @@ def _sources() -> Iterator[tuple[int, Path, str, str, dict[str, str]]]:
         code = module.read_text("utf-8")
         tree = ast.parse(code)
         home = module.relative_to(ROOT).parent.parts
-        scope = _imported(tree, home)
+        dotted = ".".join(module.relative_to(ROOT).with_suffix("").parts)
+        own_names = (getattr(node, "name", "") for node in tree.body)
+        scope = {name: f"{dotted}.{name}" for name in own_names if name}
+        scope |= _imported(tree, home)
         for node in tree.body:
             if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Assign):
                 own = scope | _imported(node, home)
@@ -143,7 +151,14 @@ def _sources() -> Iterator[tuple[int, Path, str, str, dict[str, str]]]:
                 for each in [*inner, node]:
                     title = getattr(each, "name", getattr(node, "name", module.stem))
                     part = _segment(code, each)
-                    yield 5, module.relative_to(ROOT), title, part, own
+                    # What defines a name does not use it.
+                    yield (
+                        LIBRARY,
+                        module.relative_to(ROOT),
+                        title,
+                        part,
+                        _without(own, title),
+                    )
 
 
 def _parts(code: str, tree: ast.Module) -> Iterator[str]:
@@ -186,6 +201,10 @@ def _imported(tree: ast.AST, home: tuple[str, ...] = ()) -> dict[str, str]:
     return found
 
 
+def _without(scope: dict[str, str], name: str) -> dict[str, str]:
+    return {key: value for key, value in scope.items() if key != name}
+
+
 def _uses(
     code: str, scope: dict[str, str], paths: dict[int, str], plain: dict[str, str]
 ) -> dict[str, str]:
@@ -198,7 +217,7 @@ def _uses(
     body = tree.body
     if len(body) == 1 and isinstance(body[0], ast.FunctionDef):
         body = body[0].body
-    for statement in body:
+    for statement in _short(body):
         if isinstance(statement, ast.Import | ast.ImportFrom):
             continue
         for node in ast.walk(statement):
@@ -210,6 +229,21 @@ def _uses(
         path: "\n".join(_segment(code, each) for each in statements)
         for path, statements in found.items()
     }
+
+
+def _short(body: list[ast.stmt]) -> Iterator[ast.stmt]:
+    """Statements, and in place of the long ones those within them."""
+    for each in body:
+        inner = [
+            deeper
+            for field in ("body", "orelse", "handlers", "finalbody")
+            for deeper in getattr(each, field, ())
+            if isinstance(deeper, ast.stmt | ast.ExceptHandler)
+        ]
+        if inner and (each.end_lineno or 0) - each.lineno > LONGEST:
+            yield from _short([deeper for deeper in inner if isinstance(deeper, ast.stmt)])
+        else:
+            yield each
 
 
 def _segment(code: str, statement: ast.stmt) -> str:

@@ -27,6 +27,11 @@ class Fields(griffe.Extension):
         ]
         for each, made in [(each, constructor(each)) for each in lacking]:
             each.set_member("__init__", made)
+        # What griffe makes for dataclasses has no lines; the class is where it stands.
+        for each in _classes(pkg):
+            made = each.members.get("__init__")
+            if isinstance(made, griffe.Function) and not made.endlineno:
+                made.lineno, made.endlineno = each.lineno, each.endlineno
 
 
 class ShortReferences(griffe.Extension):

@@ -5,18 +5,26 @@ from functools import cache
 from pathlib import Path
 
 from . import ROOT
+from ._gallery import SECTIONS, gallery_pages
 from ._notebooks import NOTEBOOKS, notebook_pages
 from ._reference import reference_pages
 
-NOTEBOOK = re.compile(r"\]\(\.\./notebooks/(\w+)\.ipynb")
+LINKS = (
+    (re.compile(r"\]\(\.\./notebooks/(\w+)\.ipynb"), r"](notebooks/\1.md"),
+    (re.compile(r"\]\(gallery/README\.md"), r"](gallery/index.md"),
+    (re.compile(r"\]\(gallery/(\w+)\.py"), r"](gallery/\1.md"),
+)
 # Every page of docs/ has its place here.
 ORDER: dict[str, tuple[str, ...]] = {
     "Start": (
+        "start",
         "first-log",
+        "which-observer",
         "logs",
         "from-a-datasheet",
         "conventions",
         "limits",
+        "questions",
     ),
     "Tutorials": (
         "calibration",
@@ -32,33 +40,47 @@ ORDER: dict[str, tuple[str, ...]] = {
         "batches",
         "firmware",
         "interop",
+        "small-examples",
     ),
     "Methods": (
         "theory",
+        "errata",
+        "observers",
+        "plants",
         "varying-rates",
         "quality",
         "robustness",
         "performance",
     ),
+    # Before the modules.
+    "Reference": ("commands", "symbols"),
 }
 
 
 def navigation() -> list[dict[str, object]]:
-    found: list[dict[str, object]] = [{"Home": "index.md"}]
-    for section, names in ORDER.items():
-        found.append({section: [f"{name}.md" for name in names]})
-    notebooks = sorted(NOTEBOOKS.glob("*.ipynb"))
-    found.append({"Notebooks": [f"notebooks/{each.stem}.md" for each in notebooks]})
-    reference = sorted(each for each in reference_pages() if each != "reference/index.md")
-    found.append(
-        {
-            "Reference": [
-                "reference/index.md",
-                *({Path(each).stem: each} for each in reference),
-            ]
-        }
+    """Tabs, in each a list of pages, as MkDocs and Zensical read it."""
+    sections: dict[str, list[object]] = {
+        name: [f"{page}.md" for page in pages] for name, pages in ORDER.items()
+    }
+    notebooks = [f"notebooks/{each.stem}.md" for each in sorted(NOTEBOOKS.glob("*.ipynb"))]
+    sections["Tutorials"].append({"Notebooks": notebooks})
+    gallery: list[object] = ["gallery/index.md"]
+    gallery += (
+        {section: [f"gallery/{name}.md" for name in names]}
+        for section, names in SECTIONS.items()
     )
-    return found
+    modules = sorted(each for each in reference_pages() if each != "reference/index.md")
+    reference = sections.pop("Reference")
+    reference += [
+        "reference/index.md",
+        {"Modules": [{Path(each).stem: each} for each in modules]},
+    ]
+    found: list[dict[str, object]] = [{"Home": "index.md"}]
+    for name, pages in sections.items():
+        found.append({name: pages})
+        if name == "Start":
+            found.append({"Gallery": gallery})
+    return [*found, {"Reference": reference}]
 
 
 @cache
@@ -66,14 +88,24 @@ def pages() -> dict[str, str | bytes]:
     """The content of every page and picture by its path below the pages' folder."""
     found: dict[str, str | bytes] = {"index.md": front_page()}
     for page in sorted((ROOT / "docs").glob("*.md")):
-        found[page.name] = NOTEBOOK.sub(r"](notebooks/\1.md", page.read_text("utf-8"))
-    found |= notebook_pages()
+        found[page.name] = to_pages(page.read_text("utf-8"))
+    found |= notebook_pages() | gallery_pages()
     found |= reference_pages()
     found["site.css"] = (Path(__file__).parent / "site.css").read_text("utf-8")
     return found
 
 
+def to_pages(text: str) -> str:
+    """A page of `docs/`, its links to notebooks and scripts those to their pages."""
+    for pattern, page in LINKS:
+        text = pattern.sub(page, text)
+    return text
+
+
 def front_page() -> str:
     """README.md, its links those of the site."""
     text = (ROOT / "README.md").read_text("utf-8")
-    return text.replace("](docs/", "](").replace("](notebooks)", "](index.md)")
+    text = text.replace("](docs/", "](").replace(
+        "](notebooks)", "](notebooks/quickstart.md)"
+    )
+    return to_pages(text)

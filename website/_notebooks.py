@@ -1,11 +1,13 @@
 """The notebooks as pages: their text, code and stored outputs."""
 
 import base64
+import importlib
 import json
 from pathlib import Path
 from typing import Any
 
 from . import ROOT
+from ._pictures import small
 
 NOTEBOOKS = ROOT / "notebooks"
 
@@ -50,7 +52,47 @@ def _to_pages(markdown: str) -> str:
     return markdown.replace("](../docs/", "](../")
 
 
-def title(path: Path) -> str:
-    """The first heading of a notebook."""
-    cells = json.loads(path.read_text("utf-8"))["cells"]
-    return "".join(cells[0]["source"]).partition("\n")[0].removeprefix("# ")
+def run(path: Path) -> Any:
+    """A notebook with the outputs of running it here."""
+    nbformat = importlib.import_module("nbformat")
+    client = importlib.import_module("nbclient").NotebookClient
+    notebook = nbformat.read(path, as_version=4)
+    client(
+        notebook, timeout=600, resources={"metadata": {"path": str(path.parent)}}
+    ).execute()
+    return notebook
+
+
+def record(names: list[str]) -> None:
+    """Run the notebooks with these names, by default all, and store what they show."""
+    nbformat = importlib.import_module("nbformat")
+    for path in sorted(NOTEBOOKS.glob("*.ipynb")):
+        if names and path.stem not in names:
+            continue
+        notebook = run(path)
+        for cell in notebook.cells:
+            cell.metadata.pop("execution", None)  # when it ran
+            for output in cell.get("outputs", ()):
+                _made_small(output)
+        nbformat.write(notebook, path)
+        print(f"{path.name}: {path.stat().st_size / 1e3:.0f} kB")
+
+
+def _made_small(output: Any) -> None:
+    """Pictures of few colours, and no HTML beside a text."""
+    data = output.get("data", {})
+    if "text/html" in data and "text/plain" in data:
+        del data["text/html"]
+    if "image/png" in data:
+        picture = small(base64.b64decode(data["image/png"]))
+        data["image/png"] = base64.b64encode(picture).decode() + "\n"
+
+
+def texts(notebook: Any) -> list[str]:
+    """What a notebook prints, output by output."""
+    found = []
+    for cell in notebook["cells"]:
+        for output in cell.get("outputs", ()):
+            text = output.get("text", output.get("data", {}).get("text/plain", ""))
+            found.append("".join(text))
+    return found

@@ -83,7 +83,7 @@ def _package() -> griffe.Module:
         try_relative_path=False,  # which would prefer the working directory
         resolve_aliases=True,
         allow_inspection=False,
-        extensions=griffe.load_extensions(Fields, ShortReferences),
+        extensions=griffe.load_extensions("dataclasses", Fields, ShortReferences),
     )
     assert isinstance(found, griffe.Module)
     return found
