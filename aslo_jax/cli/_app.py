@@ -12,6 +12,7 @@ except ModuleNotFoundError as error:
 
 from ._calibrate import calibrate
 from ._derive import derive
+from ._docs import docs
 from ._estimate import Explained, estimate
 from ._explore import explore
 from ._export import export
@@ -55,4 +56,5 @@ app.command()(explore)
 app.command()(derive)
 app.command()(sample)
 app.command()(paper)
+app.command()(docs)
 app.command(help=STUDY_HELP)(study)

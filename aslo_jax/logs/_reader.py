@@ -83,7 +83,7 @@ class Log:
 
 class LogReader:
     """A log that is read, checked and given piece by piece, so that it need not fit into
-    memory. A [`Source`][] may stand for a path.
+    memory. A `Source` may stand for a path.
 
     - `path`, `signals`, `columns`, `max_gap` (s), `frame`, `missing`, `most_missing`,
       `remove_offset`: as in [`read_log`][], and so is the argument `truth`.

@@ -25,7 +25,7 @@ SURE = 12.0  # of a test statistic per degree of freedom: noise reaches it in 2 
 class Finding:
     """An error of the record that a calibration without it shows signs of.
 
-    - `field`: of [`Imperfections`][];
+    - `field`: of `Imperfections`;
     - `size`: about how large it is, in the units of the field, shape `()`, or of each
       signal; to first order, with all else free;
     - `statistic`: of the score test, or of the likelihood ratio where it was fitted, over
