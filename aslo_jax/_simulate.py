@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from . import _choices
-from ._checks import function, is_concrete, kind, number, one_of, positive
+from ._checks import counted, function, is_concrete, kind, number, one_of, positive, whole
 from ._interconnection import Interconnection, Simulation
 from ._jumps import between_jumps, span
 from ._typing import ContinuousEngine, PyTree
@@ -48,6 +48,7 @@ def simulate(
     rtol: float | None = None,
     atol: float | None = None,
     engine: ContinuousEngine = "diffrax",
+    threads: int | None = None,
 ) -> Simulation[Est]:
     """Integrate a plant, its controller, and observers beside each other.
 
@@ -73,15 +74,16 @@ def simulate(
       other in it, each with steps of its own, on all processors. `"auto"` is `"fused"`
       where that extra is installed, nothing is traced by `jax.jit` or a derivative, and
       nothing is asked of diffrax; a system that cannot be compiled runs by diffrax, with a
-      warning that says why;
+      warning that says why; `threads` of `"fused"`, by default as many as there are
+      processors;
     - `solver`, `stepsize_controller` (in place of `rtol` and `atol`), `dt0`, `adjoint`: as
       in `diffrax.diffeqsolve`, for that engine only. Pass `diffrax.ConstantStepSize()` and
       `dt0` for fixed steps, for which [`RungeKutta4`][] is the cheaper solver, and
       `diffrax.ForwardMode()` for forward gradients.
 
     Held disturbances jump at known instants: both engines step to them, never across. The
-    fused engine takes Tsitouras' pair of orders 5 and 4 above a `rtol` of 1e-5 and Verner's
-    of 9 and 8 from there on, with interpolants of orders 4 and 9 at `ts`; its |x| is the
+    fused engine takes Tsitouras' pair of orders 5 and 4 down to a `rtol` of 1e-5 and
+    Verner's of 9 and 8 below, with interpolants of orders 4 and 9 at `ts`; its |x| is the
     largest value that the state has had up to now.
 
     **Returns:** a [`Simulation`][]. `jax.vmap` maps it over initial states and parameters
@@ -94,6 +96,8 @@ def simulate(
     """
     one_of("engine", engine, _choices.ContinuousEngine)
     controller = controlled(controller)
+    if threads is not None:
+        whole("threads", counted("threads", threads))
     kind("plant", plant, AbstractPlant, hint="a plant")
     check_observers(observers)
     function("feedback", feedback)
@@ -131,7 +135,8 @@ def simulate(
     x0 = plant.initial() if initial is None else initial
     check_first(plant, x0)
     if engine != "diffrax":
-        found = _fused(loop, x0, (t0, t1), ts, tolerances, max_steps, asked, engine)
+        most = counted("max_steps", max_steps), threads
+        found = _fused(loop, x0, (t0, t1), ts, tolerances, most, asked, engine)
         if found is not None:
             return found
     steps = stepsize_controller
@@ -187,7 +192,7 @@ def _fused(
     ends: tuple[Any, Any],
     ts: Any,
     tolerances: tuple[float, float],
-    max_steps: int,
+    most: tuple[int, int | None],
     asked: list[str],
     engine: ContinuousEngine,
 ) -> Simulation[Any] | None:
@@ -211,4 +216,4 @@ def _fused(
         )
     from .engines._adaptive.cosimulation import cosimulated
 
-    return cosimulated(loop, x0, ends, np.asarray(ts), tolerances, max_steps, engine)
+    return cosimulated(loop, x0, ends, np.asarray(ts), tolerances, most, engine)

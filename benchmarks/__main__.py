@@ -1,6 +1,6 @@
 """Every benchmark, or those named on the command line. `--quick`: shorter ones of `pmsm`,
-`tuning` and `calibration`; `--install`: environments for `peers` that need their own;
-`--regime NAME`: of `quality`, that one alone."""
+`continuous`, `tuning` and `calibration`; `--install`: environments for `peers` that need
+their own; `--regime NAME`: of `quality`, that one alone."""
 
 import functools
 import sys
@@ -9,6 +9,7 @@ from . import (
     ablation,
     calibration,
     compile_time,
+    continuous,
     felt,
     import_time,
     peers,
@@ -36,6 +37,7 @@ BENCHMARKS = {
     "verdict": verdict.main,
     "calibration": functools.partial(calibration.main, quick),
     "systems": systems.main,
+    "continuous": functools.partial(continuous.main, quick),
     "ablation": ablation.main,
     "peers": functools.partial(peers.main, "--install" in sys.argv),
     "pmsm": functools.partial(pmsm.main, quick),

@@ -21,11 +21,11 @@ def cosimulated(
     ends: tuple[float, float],
     ts: np.ndarray,
     tolerances: tuple[float, float],
-    max_steps: int,
+    most: tuple[int, int | None],
     engine: str,
 ) -> Simulation[Any] | None:
-    """From the plant's state x0, between two instants (s), saved at `ts`, ascending; None
-    with the engine `"auto"` where it cannot be compiled."""
+    """From the plant's state x0, between two instants (s), saved at `ts`, ascending, by at
+    most so many steps and threads; None with the engine `"auto"` where that fails."""
     dtype = np.dtype(jnp.result_type(float))
     x0 = jax.tree.map(jnp.asarray, x0)
     arrays, rest = eqx.partition((loop, x0), eqx.is_array)
@@ -41,9 +41,7 @@ def cosimulated(
         return eqx.combine(arrays, rest)[0].record(t, state, None)
 
     jumps = np.empty(0) if loop.span is None else loop.span.jumps
-    plan = Plan(
-        float(ends[0]), float(ends[1]), ts.astype(dtype), jumps, *tolerances, max_steps
-    )
+    plan = Plan(float(ends[0]), float(ends[1]), ts.astype(dtype), jumps, *tolerances, *most)
     try:
         found, outcome = simulated(System(begun, rate, record), arrays, rest, plan)
     except NotImplementedError:  # a derivative

@@ -102,4 +102,4 @@ LOOSE = 1e-5  # tolerance from which on the pair of lower order takes less
 
 def pair_for(tolerance: float) -> Pair:
     """The pair that takes less for a relative tolerance."""
-    return tsit5() if tolerance > LOOSE else verner98()
+    return tsit5() if tolerance >= LOOSE else verner98()

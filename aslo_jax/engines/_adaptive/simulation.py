@@ -44,6 +44,12 @@ class Plan(NamedTuple):
     rtol: float
     atol: float
     max_steps: int
+    threads: int | None = None
+
+    @property
+    def inner(self) -> np.ndarray:
+        """The instants before t1, whose rows are interpolated."""
+        return self.ts[self.ts < self.t1]
 
     @property
     def key(self) -> tuple[Any, ...]:
@@ -74,7 +80,7 @@ def bodies(system: System, plan: Plan) -> Bodies:
     before = np.nextafter(plan.jumps.astype(dtype), dtype.type(-np.inf))
     ends = np.append(before, t1)
     after = np.nextafter(plan.jumps.astype(dtype), dtype.type(np.inf))
-    starts, ts = np.append(after, t1), plan.ts
+    starts, ts = np.append(after, t1), plan.inner
 
     def of(arrays: PyTree) -> tuple[Any, Any, Callable]:
         x, tree = ravel_pytree(system.init(arrays))
@@ -89,7 +95,8 @@ def bodies(system: System, plan: Plan) -> Bodies:
         x, _, rate = of(inputs["lane"])
         lane = stepper.begin(rate, jnp.asarray(t0), jnp.asarray(ends[0]), x)
         carry = _Carry(lane, jnp.asarray(0) if jumping else None)
-        return carry, jnp.asarray(0, jnp.int64 if _wide() else jnp.int32), None
+        row = jnp.asarray(0, jnp.int64 if _wide() else jnp.int32)
+        return carry, row if len(ts) else None, None
 
     def advance(carry, inputs, _):
         lane, jump = carry
@@ -119,11 +126,14 @@ def bodies(system: System, plan: Plan) -> Bodies:
         return due, jnp.asarray(True), row, row + 1, columns
 
     def finish(carry, inputs):
-        del inputs
         lane = carry.lane
-        return Outcome(lane.code, lane.accepted, lane.rejected)
+        outcome = Outcome(lane.code, lane.accepted, lane.rejected)
+        if len(ts) == len(plan.ts):
+            return outcome, None
+        _, tree, _ = of(inputs["lane"])
+        return outcome, system.record(inputs["lane"], jnp.asarray(t1), tree(lane.x))
 
-    return Bodies(begin, advance, finish, save)
+    return Bodies(begin, advance, finish, save if len(ts) else None)
 
 
 def _wide() -> bool:
@@ -163,7 +173,11 @@ class Simulation:
         flat = [x.reshape(lanes, *x.shape[len(lead) :]) for x in leaves]
         program = self.program([shape_of(x, 1) for x in flat])
         rows = len(self.plan.ts)
-        record, final = program({"lane": flat}, lanes, self.plan.max_steps, rows=rows)
+        record, (final, last) = program(
+            {"lane": flat}, lanes, self.plan.max_steps, threads=self.plan.threads, rows=rows
+        )
+        if last is not None:
+            record = _with_last(record, last, final.code == ENDED)
         warn(final.code)
         back = lambda x: x.reshape((*lead, *x.shape[1:]))
         return jax.tree.map(back, (record, final))
@@ -188,6 +202,20 @@ class Simulation:
             lambda leaves, t, state: self.system.record(arrays(leaves), t, state),
         )
         return bodies(system, self.plan)
+
+
+def _with_last(record: PyTree, last: PyTree, reached: np.ndarray) -> PyTree:
+    """Rows whose last one is that of the end, for the lanes that have reached it."""
+
+    def put(rows: np.ndarray, row: np.ndarray) -> np.ndarray:
+        blank = np.asarray(np.nan if row.dtype.kind == "f" else 0, row.dtype)
+        there = reached.reshape(-1, *(1,) * (row.ndim - 1))
+        rows[:, -1] = np.where(there, row, blank)
+        return rows
+
+    if record is None:
+        record = jax.tree.map(lambda x: np.empty((len(x), 1, *x.shape[1:]), x.dtype), last)
+    return jax.tree.map(put, record, last)
 
 
 def _hashable(x: Any) -> Any:
