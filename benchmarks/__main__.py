@@ -1,6 +1,7 @@
 """Every benchmark, or those named on the command line. `--quick`: shorter ones of `pmsm`,
-`tuning` and `calibration`; `--install`: environments for `peers` that need their own;
-`--regime NAME`: of `quality`, that one alone; `--only NAME`: of `plants`, that machine."""
+`continuous`, `tuning` and `calibration`; `--install`: environments for `peers` that need
+their own; `--regime NAME`: of `quality`, that one alone; `--only NAME`: of `plants`, that
+machine."""
 
 import functools
 import sys
@@ -9,6 +10,7 @@ from . import (
     ablation,
     calibration,
     compile_time,
+    continuous,
     explore,
     felt,
     import_time,
@@ -41,6 +43,7 @@ BENCHMARKS = {
     "calibration": functools.partial(calibration.main, quick),
     "systems": systems.main,
     "plants": plants.main,
+    "continuous": functools.partial(continuous.main, quick),
     "ablation": ablation.main,
     "peers": functools.partial(peers.main, "--install" in sys.argv),
     "pmsm": functools.partial(pmsm.main, quick),
