@@ -4,10 +4,13 @@ import importlib
 import pathlib
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 
 import jax
 
 from .._extras import require
+from .._interrupts import unfinished
+from .._written import write_files
 
 __all__ = ["SECTIONS", "run"]
 
@@ -38,16 +41,21 @@ def run(section: int, out: pathlib.Path) -> None:
             "The claims of the paper are measured to 1e-10, but JAX is in single "
             'precision; call `jax.config.update("jax_enable_x64", True)` first.'
         )
-    report = _experiments(section)
-    out.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=out):  # a folder that cannot be written to is found now
-        pass
-    files, summary = report()
-    for name, content in files.items():
-        partial = out / f".{name}.partial"
-        partial.write_bytes(content)
-        partial.replace(out / name)
+    report, made = _experiments(section), not out.exists()
+    with unfinished(lambda: _forget(out, made)):
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out):  # it can be written to, or that is found now
+            pass
+        files, summary = report()
+        write_files(out, files)
     print(summary)
+
+
+def _forget(out: pathlib.Path, made: bool) -> None:
+    """Remove the folder `out` where it was `made` and holds nothing yet."""
+    if made:
+        with suppress(OSError):
+            out.rmdir()
 
 
 def _experiments(section: int) -> Callable[[], tuple[dict[str, bytes], str]]:
