@@ -275,9 +275,12 @@ VARIANTS = (
 )
 def test_every_gain_has_a_gradient(name):
     observer, (u, y, _) = OBSERVERS[name], log(name)
+    # Where the equations hold exactly no gain of theirs matters.
+    bent = lambda s: 1e-3 * jnp.cos(jnp.arange(s.size)).reshape(s.shape)
+    wrong = lambda s: s[:100] + bent(s[:100])
 
     def loss(observer):
-        found = values(aslo.replay(observer, T[:100], u[:100], y[:100]))
+        found = values(aslo.replay(observer, T[:100], u[:100], wrong(y)))
         return sum(jnp.mean(v[50:] ** 2) for v in found)
 
     gradient = eqx.filter_jit(eqx.filter_grad(loss))(observer)

@@ -168,7 +168,7 @@ def exported_machine(
     outputs = None
     if connect is not None and "pll_bandwidth" in fields:
         bandwidth = rates["pll_bandwidth"].constant
-        if interval is not None and bandwidth > 0.5 / interval:
+        if interval is not None and interval * bandwidth > 0.5:
             raise MachineError(
                 f"the bandwidth of the phase-locked loop must be at most "
                 f"{0.5 / interval:.4g} rad/s for an interval of {interval:.4g} s, but is "

@@ -12,6 +12,7 @@ from .. import __version__
 from .._checks import positive
 from .._citation import described, made_of
 from .._typing import Missing, PyTree
+from .._written import write_files
 from ._blocks import Block, Chain, block_of
 from ._fields import RESERVED, Field
 from ._fmu import write_fmu
@@ -60,11 +61,7 @@ class Exported:
 
     def write(self, out: Path | str) -> list[Path]:
         """Write the files into the folder `out`, which is made: their paths."""
-        folder = Path(out)
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in self.files.items():
-            (folder / name).write_text(text, encoding="utf-8", newline="\n")
-        return [folder / name for name in self.files]
+        return write_files(Path(out), {k: text.encode() for k, text in self.files.items()})
 
     def write_fmu(
         self, path: Path | str, version: int = 3, platforms: Sequence[str] = ()
@@ -93,7 +90,6 @@ class Exported:
             "parameters": self.parameters,
         }
         path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
         write_fmu(
             path,
             version,

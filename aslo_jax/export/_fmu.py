@@ -2,6 +2,7 @@
 
 import hashlib
 import importlib.util
+import io
 import platform
 import shutil
 import subprocess
@@ -14,6 +15,8 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from .. import __version__
+from .._interrupts import discard, unfinished
+from .._written import write_files
 from ._fields import Field
 from ._fmu_source import Variable, fmu_source, variables
 
@@ -117,15 +120,18 @@ def write_fmu(
     inside |= {f"sources/{name}": text.encode() for name, text in sources.items()}
     if version == 3:
         inside["sources/buildDescription.xml"] = _build(prefix, sources).encode()
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in sorted(inside.items()):
             info = zipfile.ZipInfo(name, LONG_AGO)
             info.external_attr = 0o644 << 16
             archive.writestr(info, content, zipfile.ZIP_DEFLATED)
+    write_files(path.parent, {path.name: whole.getvalue()})
 
 
 def _built(sources: Mapping[str, str], target: str) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
+    gone = lambda: discard(Path(folder))
+    with tempfile.TemporaryDirectory() as folder, unfinished(gone):
         for name, text in sources.items():
             (Path(folder) / name).write_text(text)
         names = [name for name in sources if name.endswith(".c")]

@@ -4,11 +4,14 @@ import importlib
 import pathlib
 import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Literal
 
 import jax
 
 from .._extras import require
+from .._interrupts import unfinished
+from .._written import write_files
 
 __all__ = ["SECTIONS", "run"]
 
@@ -44,25 +47,23 @@ def run(section: int | Literal["all"], out: pathlib.Path) -> None:
         )
     sections = SECTIONS if section == "all" else (section,)
     reports = {each: _experiments(each) for each in sections}
-    out.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=out):  # a folder that cannot be written to is found now
-        pass
-    counts = {}
-    for each, report in reports.items():
-        files, summary = report()
-        _write(files, out / f"section_{each}" if section == "all" else out)
-        counts[each] = summary.rpartition("\n")[2]
-        print(summary)
-    if section == "all":
-        _write({"index.md": _contents(counts).encode()}, out)
+    made, counts = not out.exists(), {}
+    with unfinished(lambda: _forget(out, made)):
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out):  # it can be written to, or that is found now
+            pass
+        for each, report in reports.items():
+            files, summary = report()
+            _write(files, out / f"section_{each}" if section == "all" else out)
+            counts[each] = summary.rpartition("\n")[2]
+            print(summary)
+        if section == "all":
+            _write({"index.md": _contents(counts).encode()}, out)
 
 
 def _write(files: Mapping[str, bytes], out: pathlib.Path) -> None:
     out.mkdir(exist_ok=True)
-    for name, content in files.items():
-        partial = out / f".{name}.partial"
-        partial.write_bytes(content)
-        partial.replace(out / name)
+    write_files(out, files)
 
 
 def _contents(counts: Mapping[int, str]) -> str:
@@ -74,6 +75,13 @@ def _contents(counts: Mapping[int, str]) -> str:
             f"- [Section {section}]({at}/index.md): {count} [Claims]({at}/claims.md)"
         )
     return "\n".join(lines) + "\n"
+
+
+def _forget(out: pathlib.Path, made: bool) -> None:
+    """Remove the folder `out` where it was `made` and holds nothing yet."""
+    if made:
+        with suppress(OSError):
+            out.rmdir()
 
 
 def _experiments(section: int) -> Callable[[], tuple[dict[str, bytes], str]]:
