@@ -3,17 +3,16 @@
 import re
 import subprocess
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.signal
 from compiled_c import Compiled, columns, compiler, error, rows_of
+from exported_modules import Damped, restrained, restrained_observer, thirty
 from exported_motor import MOTOR, command
 from own_modules import Washout
 
 import aslo_jax as aslo
-from aslo_jax.control import AbstractController
 
 
 def test_a_users_own_module(tmp_path):
@@ -26,40 +25,17 @@ def test_a_users_own_module(tmp_path):
     assert error(found, expected) < 1e-12
 
 
-class Restrained(aslo.AbstractObserver):
-    """With a state that has 12 entries and a full matrix."""
-
-    A: jax.Array
-
-    def equations(self, F, u, y):
-        x = F.state("x", jnp.zeros(12), lambda x: self.A @ x + y[0])
-        P = F.state("P", jnp.eye(12), lambda P: self.A @ P + P @ self.A.T - P @ P.T)
-        return aslo.Estimate(jnp.tanh(P @ x), jnp.ones(()), x[0] > 0.0)
-
-
 def test_matrices_are_loops(tmp_path):
-    rng = np.random.default_rng(0)
-    A = jnp.asarray(rng.normal(size=(12, 12)) * 0.3 - 2.0 * np.eye(12))
-    u, y = rng.normal(size=(2, 60, 1))
-    made = aslo.export_c(Restrained(A), interval=0.01, u=u[0], y=y[0], prefix="full")
-    expected = columns(aslo.replay(Restrained(A), 0.01 * np.arange(60), u, y))
+    made, observer = restrained(), restrained_observer()
+    u, y = np.random.default_rng(0).normal(size=(2, 60, 1))
+    expected = columns(aslo.replay(observer, 0.01 * np.arange(60), u, y))
     assert error(Compiled(made, tmp_path)(rows_of(u, y)), expected) < 1e-12
     assert made.files["full.c"].count("\n") < 1200
 
 
-class Thirty(aslo.AbstractObserver):
-    A: jax.Array
-
-    def equations(self, F, u, y):
-        x = F.state("x", jnp.zeros(30), lambda x: self.A @ x + y[0])
-        return aslo.Estimate(x, jnp.ones(()), x[0] > 1.0)
-
-
 def test_thirty_states_fit_a_drive(tmp_path):
     """With a full matrix of parameters, by the size of the object."""
-    A = np.random.default_rng(0).normal(size=(30, 30)) - 6.0 * np.eye(30)
-    settings = dict(interval=1e-3, u=np.zeros(1), y=np.zeros(1), dtype="float32")
-    aslo.export_c(Thirty(jnp.asarray(A)), prefix="thirty", **settings).write(tmp_path)
+    thirty().write(tmp_path)
     build = [*compiler(), "-std=c99", "-Os", "-c", "thirty.c", "-o", "thirty.o"]
     subprocess.run(build, cwd=tmp_path, check=True)
     said = subprocess.run(
@@ -68,22 +44,6 @@ def test_thirty_states_fit_a_drive(tmp_path):
     text, data, bss = map(int, said.splitlines()[1].split()[:3])
     assert 3600 < text < 16_384  # the matrix itself has 3600 bytes
     assert data == bss == 0
-
-
-class Damped(AbstractController):
-    """A proportional and integral controller with a limit, that looks at the time."""
-
-    gain: jax.Array
-
-    def init(self, fed):
-        return jnp.zeros(2)
-
-    def vector_field(self, t, state, fed):
-        return fed - 0.1 * state
-
-    def __call__(self, t, state, fed):
-        wanted = jnp.array([1.0, jnp.sin(20.0 * t)])
-        return jnp.clip(self.gain * (wanted - fed) + 3.0 * state, -5.0, 5.0)
 
 
 def test_a_chain_is_the_loop_of_an_experiment(tmp_path):
