@@ -122,7 +122,7 @@ def test_the_page_lists_the_rules_that_are_checked():
 
 EXPORTS = {
     "motor": export_motor,
-    "single": lambda: export_motor(dtype="float32", interval=None),
+    "single": lambda: export_motor(dtype="float32"),
     "fixed": lambda: export_motor(fixed=("all",)),
     "thirty": thirty,
     "full": restrained,

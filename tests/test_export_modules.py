@@ -116,6 +116,56 @@ def test_a_loop_within_a_turn_is_the_same_loop():
         aslo.PhaseLockedLoop(40.0, wraps=False, within=True)
 
 
+class Named(aslo.AbstractObserver):
+    """With states that are called as what C, its headers and the struct have."""
+
+    def equations(self, F, u, y):
+        names = ("begun", "while", "linux", "NULL", "x hat", "größe")
+        found = [
+            F.state(n, jnp.zeros(()), lambda x, k=k: y["state"] - (1.0 + k) * x)
+            for k, n in enumerate(names)
+        ]
+        return aslo.Estimate(jnp.stack(found), jnp.ones(()), found[0] > 0.0)
+
+
+def test_names_that_are_words_of_c(tmp_path):
+    rng = np.random.default_rng(5)
+    u, y = rng.normal(size=(40, 1)), {"state": rng.normal(size=40)}
+    first = dict(u=u[0], y={"state": 0.0})
+    made = aslo.export_c(Named(), interval=0.1, prefix="named", **first)
+    names = [f.name for f in made.state]
+    assert {"begun_", "while_", "linux_", "NULL_", "x_hat", "gruf6udfe"} < set(names)
+    found = Compiled(made, tmp_path, "-O1", "-std=gnu99")(rows_of(u, y))
+    expected = columns(aslo.replay(Named(), 0.1 * np.arange(40), u, y))
+    assert error(found, expected) < 1e-12
+    for prefix, said in (
+        ("y", r"`prefix` must not be 'y' here, since `.*` would be `y_state`"),
+        ("Main", r'`prefix` must not be "main", which is the file of the test'),
+    ):
+        with pytest.raises(ValueError, match=said):
+            aslo.export_c(Named(), interval=0.1, prefix=prefix, **first)
+
+
+class Sensitive(aslo.AbstractObserver):
+    """Makes ten thousand times as much of the last bits of y."""
+
+    def equations(self, F, u, y):
+        x = F.state("x", jnp.zeros(()), lambda x: y[0] - x)
+        return aslo.Estimate(jnp.sin(1e4 * y + x), jnp.ones(()), x > 0.0)
+
+
+def test_its_own_test_allows_for_what_the_last_bits_do(tmp_path):
+    """As of an adaptive filter, whose matrices magnify them."""
+    one = np.zeros(1)
+    made = aslo.export_c(Sensitive(), interval=0.01, u=one, y=one, prefix="keen")
+    calm = aslo.export_c(Washout(jnp.array(8.0)), interval=0.01, u=one, y=one)
+    tolerance = lambda text: float(re.search(r"define TOLERANCE (\S+)", text)[1])
+    assert tolerance(calm.files["main.c"]) == 1e-12
+    assert tolerance(made.files["main.c"]) == 1e-10
+    made.write(tmp_path)
+    assert subprocess.run(["make", "-s", "test"], cwd=tmp_path).returncode == 0
+
+
 class Sorted(aslo.AbstractObserver):
     """What the engine does not take."""
 
