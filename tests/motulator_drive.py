@@ -7,18 +7,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
+from aslo_jax.interop._motulator import _loaded, save_motulator
 
 RECORDED = Path(__file__).parent / "data" / "motulator.npz"
 RESISTANCE, INDUCTANCE, MAGNET_FLUX, POLE_PAIRS = 3.6, 0.04, 0.545, 3
 PERIOD = 250e-6  # s
-SERIES = {
-    "ctrl": ("t",),
-    "ctrl.fbk": ("i_s", "u_s_zoh", "theta_c"),
-    "ctrl.ref": ("enabled",),
-    "mdl": ("t",),
-    "mdl.machine": ("psi_s_ab", "theta_m", "w_M"),
-}
 
 
 def simulate(t1: float, observer: Any = None, enable: Any = True) -> Any:
@@ -51,33 +44,8 @@ def simulate(t1: float, observer: Any = None, enable: Any = True) -> Any:
 
 def recorded() -> SimpleNamespace:
     """The recorded run, with the attributes of its results."""
-    found = SimpleNamespace()
-    with np.load(RECORDED) as file:
-        for path, names in SERIES.items():
-            place = found
-            for part in path.split("."):
-                if not hasattr(place, part):
-                    setattr(place, part, SimpleNamespace())
-                place = getattr(place, part)
-            for name in names:
-                setattr(place, name, file[f"{path}.{name}"])
-    return found
-
-
-def main() -> None:
-    results = simulate(0.1)
-    rows = np.searchsorted(results.mdl.t, results.ctrl.t - 1e-6 * PERIOD)
-    columns = {}
-    for path, names in SERIES.items():
-        place = results
-        for part in path.split("."):
-            place = getattr(place, part)
-        for name in names:
-            series = np.asarray(getattr(place, name))
-            columns[f"{path}.{name}"] = series[rows] if path[:3] == "mdl" else series
-    RECORDED.parent.mkdir(exist_ok=True)
-    np.savez_compressed(RECORDED, **columns)
+    return _loaded(RECORDED)
 
 
 if __name__ == "__main__":
-    main()
+    save_motulator(simulate(0.1), RECORDED)

@@ -3,17 +3,16 @@
 import re
 import subprocess
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.signal
 from compiled_c import Compiled, columns, compiler, error, rows_of
+from exported_modules import Damped, restrained, restrained_observer, thirty
 from exported_motor import MOTOR, command
 from own_modules import Washout
 
 import aslo_jax as aslo
-from aslo_jax.control import AbstractController
 
 
 def test_a_users_own_module(tmp_path):
@@ -26,40 +25,17 @@ def test_a_users_own_module(tmp_path):
     assert error(found, expected) < 1e-12
 
 
-class Restrained(aslo.AbstractObserver):
-    """With a state that has 12 entries and a full matrix."""
-
-    A: jax.Array
-
-    def equations(self, F, u, y):
-        x = F.state("x", jnp.zeros(12), lambda x: self.A @ x + y[0])
-        P = F.state("P", jnp.eye(12), lambda P: self.A @ P + P @ self.A.T - P @ P.T)
-        return aslo.Estimate(jnp.tanh(P @ x), jnp.ones(()), x[0] > 0.0)
-
-
 def test_matrices_are_loops(tmp_path):
-    rng = np.random.default_rng(0)
-    A = jnp.asarray(rng.normal(size=(12, 12)) * 0.3 - 2.0 * np.eye(12))
-    u, y = rng.normal(size=(2, 60, 1))
-    made = aslo.export_c(Restrained(A), interval=0.01, u=u[0], y=y[0], prefix="full")
-    expected = columns(aslo.replay(Restrained(A), 0.01 * np.arange(60), u, y))
+    made, observer = restrained(), restrained_observer()
+    u, y = np.random.default_rng(0).normal(size=(2, 60, 1))
+    expected = columns(aslo.replay(observer, 0.01 * np.arange(60), u, y))
     assert error(Compiled(made, tmp_path)(rows_of(u, y)), expected) < 1e-12
     assert made.files["full.c"].count("\n") < 1200
 
 
-class Thirty(aslo.AbstractObserver):
-    A: jax.Array
-
-    def equations(self, F, u, y):
-        x = F.state("x", jnp.zeros(30), lambda x: self.A @ x + y[0])
-        return aslo.Estimate(x, jnp.ones(()), x[0] > 1.0)
-
-
 def test_thirty_states_fit_a_drive(tmp_path):
     """With a full matrix of parameters, by the size of the object."""
-    A = np.random.default_rng(0).normal(size=(30, 30)) - 6.0 * np.eye(30)
-    settings = dict(interval=1e-3, u=np.zeros(1), y=np.zeros(1), dtype="float32")
-    aslo.export_c(Thirty(jnp.asarray(A)), prefix="thirty", **settings).write(tmp_path)
+    thirty().write(tmp_path)
     build = [*compiler(), "-std=c99", "-Os", "-c", "thirty.c", "-o", "thirty.o"]
     subprocess.run(build, cwd=tmp_path, check=True)
     said = subprocess.run(
@@ -68,22 +44,6 @@ def test_thirty_states_fit_a_drive(tmp_path):
     text, data, bss = map(int, said.splitlines()[1].split()[:3])
     assert 3600 < text < 16_384  # the matrix itself has 3600 bytes
     assert data == bss == 0
-
-
-class Damped(AbstractController):
-    """A proportional and integral controller with a limit, that looks at the time."""
-
-    gain: jax.Array
-
-    def init(self, fed):
-        return jnp.zeros(2)
-
-    def vector_field(self, t, state, fed):
-        return fed - 0.1 * state
-
-    def __call__(self, t, state, fed):
-        wanted = jnp.array([1.0, jnp.sin(20.0 * t)])
-        return jnp.clip(self.gain * (wanted - fed) + 3.0 * state, -5.0, 5.0)
 
 
 def test_a_chain_is_the_loop_of_an_experiment(tmp_path):
@@ -154,6 +114,56 @@ def test_a_loop_within_a_turn_is_the_same_loop():
     assert np.max(np.abs(within.value[1:, 0])) <= np.pi + 1e-12
     with pytest.raises(ValueError, match="`within` must be False where `wraps` is"):
         aslo.PhaseLockedLoop(40.0, wraps=False, within=True)
+
+
+class Named(aslo.AbstractObserver):
+    """With states that are called as what C, its headers and the struct have."""
+
+    def equations(self, F, u, y):
+        names = ("begun", "while", "linux", "NULL", "x hat", "größe")
+        found = [
+            F.state(n, jnp.zeros(()), lambda x, k=k: y["state"] - (1.0 + k) * x)
+            for k, n in enumerate(names)
+        ]
+        return aslo.Estimate(jnp.stack(found), jnp.ones(()), found[0] > 0.0)
+
+
+def test_names_that_are_words_of_c(tmp_path):
+    rng = np.random.default_rng(5)
+    u, y = rng.normal(size=(40, 1)), {"state": rng.normal(size=40)}
+    first = dict(u=u[0], y={"state": 0.0})
+    made = aslo.export_c(Named(), interval=0.1, prefix="named", **first)
+    names = [f.name for f in made.state]
+    assert {"begun_", "while_", "linux_", "NULL_", "x_hat", "gruf6udfe"} < set(names)
+    found = Compiled(made, tmp_path, "-O1", "-std=gnu99")(rows_of(u, y))
+    expected = columns(aslo.replay(Named(), 0.1 * np.arange(40), u, y))
+    assert error(found, expected) < 1e-12
+    for prefix, said in (
+        ("y", r"`prefix` must not be 'y' here, since `.*` would be `y_state`"),
+        ("Main", r'`prefix` must not be "main", which is the file of the test'),
+    ):
+        with pytest.raises(ValueError, match=said):
+            aslo.export_c(Named(), interval=0.1, prefix=prefix, **first)
+
+
+class Sensitive(aslo.AbstractObserver):
+    """Makes ten thousand times as much of the last bits of y."""
+
+    def equations(self, F, u, y):
+        x = F.state("x", jnp.zeros(()), lambda x: y[0] - x)
+        return aslo.Estimate(jnp.sin(1e4 * y + x), jnp.ones(()), x > 0.0)
+
+
+def test_its_own_test_allows_for_what_the_last_bits_do(tmp_path):
+    """As of an adaptive filter, whose matrices magnify them."""
+    one = np.zeros(1)
+    made = aslo.export_c(Sensitive(), interval=0.01, u=one, y=one, prefix="keen")
+    calm = aslo.export_c(Washout(jnp.array(8.0)), interval=0.01, u=one, y=one)
+    tolerance = lambda text: float(re.search(r"define TOLERANCE (\S+)", text)[1])
+    assert tolerance(calm.files["main.c"]) == 1e-12
+    assert tolerance(made.files["main.c"]) == 1e-10
+    made.write(tmp_path)
+    assert subprocess.run(["make", "-s", "test"], cwd=tmp_path).returncode == 0
 
 
 class Sorted(aslo.AbstractObserver):

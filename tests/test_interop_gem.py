@@ -78,6 +78,20 @@ def test_voltages_currents_and_fluxes_of_a_motor_with_magnets_fit(pmsm):
     assert np.max(np.abs(log.y)) > 30.0
 
 
+def test_its_transformations_and_torque_are_ours(pmsm):
+    """As the table of the page says."""
+    env, states = pmsm
+    motor = env.unwrapped.physical_system.electrical_motor
+    phases = np.array([1.0, -0.3, 0.2])
+    np.testing.assert_allclose(motor.t_23(phases), aslo.frames.clarke(phases))
+    turned = aslo.frames.inverse_park(np.array([0.7, -0.4]), 0.9)
+    np.testing.assert_allclose(motor.q([0.7, -0.4], 0.9), turned)
+    log, mp = interop.from_gem(env, states), motor.motor_parameter
+    crossed = log.truth["flux_alpha"] * log.y[:, 1] - log.truth["flux_beta"] * log.y[:, 0]
+    torque = states[:, 1] * env.unwrapped.limits[1]
+    np.testing.assert_allclose(1.5 * mp["p"] * crossed, torque, atol=1e-9)
+
+
 def test_its_flux_is_observed(pmsm):
     """By an observer of ours with the parameters of the environment."""
     env, states = pmsm

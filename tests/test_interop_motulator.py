@@ -56,6 +56,26 @@ def test_the_voltage_of_a_row_is_held_from_it_on(log):
     np.testing.assert_allclose(mean, (speed[1:] + speed[:-1]) / 2, atol=5e-3)
 
 
+def test_a_file_of_what_is_read_gives_the_same_log(log, tmp_path):
+    results = drive.recorded()
+    # The model has more instants than the controller, and each of its own twice.
+    later = results.mdl.t + 0.3 * drive.PERIOD
+    order = np.argsort(np.concatenate([results.mdl.t] * 2 + [later]), kind="stable")
+    for of, name in (
+        (results.mdl, "t"),
+        *((results.mdl.machine, name) for name in ("psi_s_ab", "theta_m", "w_M")),
+    ):
+        x = getattr(of, name)
+        between = later if name == "t" else 0.0 * x
+        setattr(of, name, np.concatenate([x, x, between])[order])
+    path = tmp_path / "run.npz"
+    interop.save_motulator(results, path)
+    for found in (interop.from_motulator(path), interop.from_motulator(str(path))):
+        np.testing.assert_array_equal(found.u, log.u)
+        for name, x in log.truth.items():
+            np.testing.assert_array_equal(found.truth[name], x)
+
+
 def test_its_flux_is_observed(log):
     estimate = aslo.replay(tracker(), log.t, log.u, log.y)
     later = slice(200, None)
@@ -132,6 +152,15 @@ def test_motulator_itself_gives_what_was_recorded():
         np.testing.assert_allclose(x, y, atol=1e-6 * np.max(np.abs(y)))
     for name, y in expected.truth.items():
         np.testing.assert_allclose(found.truth[name], y, atol=1e-6 * np.max(np.abs(y)))
+
+
+@pytest.mark.slow
+def test_its_transformation_is_ours():
+    """As the table of the page says."""
+    utils = pytest.importorskip("motulator.common.utils", reason="needs Python 3.12")
+    phases = np.array([1.0, -0.3, 0.2])
+    found = utils.abc2complex(phases)
+    np.testing.assert_allclose([found.real, found.imag], aslo.frames.clarke(phases))
 
 
 @pytest.mark.slow

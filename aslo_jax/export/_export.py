@@ -17,7 +17,7 @@ from ._blocks import Block, Chain, block_of
 from ._fields import RESERVED, Field
 from ._fmu import write_fmu
 from ._harness import harness, is_held
-from ._header import CONTROL, SAMPLING, header, top, wrapped
+from ._header import CONTROL, SAMPLING, STATUS, header, top, wrapped
 from ._readme import readme
 from ._source import Source, source
 from ._traced import Traced, traced
@@ -165,6 +165,11 @@ def export_c(
             "Argument `prefix` must begin with a letter, have at most 31 letters, digits "
             f"or `_`, and be no word of C, but got {prefix!r}."
         )
+    if prefix.lower() == "main":
+        raise ValueError(
+            'Argument `prefix` must not be "main", which is the file of the test; give '
+            "another one."
+        )
     if missing not in ("refuse", "coast"):
         raise ValueError(
             'Argument `missing` must be "refuse" or "coast", since a step cannot look '
@@ -182,6 +187,7 @@ def export_c(
     )
     kind, refuses = np.dtype(dtype), missing == "refuse"
     made = traced(block, kind, interval, fixed)
+    _check_names(made, prefix)
     code = source(made, prefix, refuses, top(prefix))
     notes, columns = notes or {}, columns or {}
     vectors = _vectors(block, made, kind, interval, log)
@@ -206,6 +212,19 @@ def export_c(
         notes=dict(notes),
         columns={name: tuple(names) for name, names in columns.items()},
     )
+
+
+def _check_names(made: Traced, prefix: str) -> None:
+    """Refuse members and arguments that are called as a type or a macro of the header."""
+    own = {f"{prefix}_{x}" for x in ("state", "parameters", "output", "status")}
+    own |= {f"{prefix}_{x}" for x in ("defaults", "init", "step")}
+    own |= {f"{prefix.upper()}_{x}" for x in (*STATUS, "INTERVAL", "H")}
+    for field in (*made.inputs, *made.parameters, *made.state, *made.outputs):
+        if field.name in own:
+            raise ValueError(
+                f"Argument `prefix` must not be {prefix!r} here, since `{field.origin}` "
+                f"would be `{field.name}`, which is a name of the header; give another one."
+            )
 
 
 def _vectors(

@@ -10,9 +10,21 @@ import numpy as np
 
 from .._typing import PyTree
 
-# Words of C99 and C++ that no member may be called.
+# Words of C99 and C++ that no member may be called, nor a macro of the headers that are
+# included or of compilers, nor what the state has besides.
 RESERVED = frozenset(
     [
+        "EOF",
+        "NULL",
+        "begun",
+        "errno",
+        "i386",
+        "linux",
+        "offsetof",
+        "stderr",
+        "stdin",
+        "stdout",
+        "unix",
         "alignas",
         "alignof",
         "and",

@@ -19,17 +19,21 @@ INTERVAL = 1e-3  # s, where it is an input
 class Vectors(NamedTuple):
     """`inputs`, shape `(N, p)`, and `outputs`, shape `(N, q)`: of every row the entries of
     their fields, one after the other. The first row is that of the start, whose inputs
-    other than those of the start are zero."""
+    other than those of the start are zero.
+
+    `conditioning`: the largest change of an output that is a real number, relative to its
+    signal, where the last bits of the inputs change: what rounding may do to a test."""
 
     inputs: np.ndarray
     outputs: np.ndarray
+    conditioning: float
 
     @classmethod
     def of(cls, block: Block, signals: PyTree, made: Traced, dtype: np.dtype) -> "Vectors":
         """What a block makes of signals, trees with a leading axis of length N; where these
         have an interval `dt`, of its own."""
         with precision(dtype):
-            outputs = run(
+            outputs, nudged = run(
                 in_type(block.module, dtype), block, signals, made.interval, dtype
             )
         columns = _flat(signals)
@@ -39,15 +43,20 @@ class Vectors(NamedTuple):
             if id(field) not in first:
                 columns[0, at : at + field.size] = 0.0
             at += field.size
-        return cls(columns, _flat(outputs))
+        outputs, nudged = _flat(outputs), _flat(nudged)
+        real = [f.dtype.kind == "f" for f in made.outputs for _ in range(f.size)]
+        size = np.max(np.abs(outputs), axis=0, initial=0.0)
+        change = np.abs(nudged - outputs) / np.where(size > 0, size, 1.0)
+        return cls(columns, outputs, float(np.max(change[:, real], initial=0.0)))
 
 
 def run(
     module: PyTree, block: Block, signals: PyTree, interval: float | None, dtype: np.dtype
-) -> PyTree:
-    """The outputs, with a leading axis."""
+) -> tuple[PyTree, PyTree]:
+    """The outputs, with a leading axis, and those for inputs whose last bits differ."""
     arrays, rest = eqx.partition(module, eqx.is_array)
     signals = jax.tree.map(lambda x: jnp.asarray(x, dtype), signals)
+    nudged = jax.tree.map(lambda x: _nudged(np.asarray(x)), signals)
 
     @jax.jit
     def whole(arrays, signals):
@@ -63,7 +72,13 @@ def run(
         _, later = jax.lax.scan(step, state, jax.tree.map(lambda x: x[1:], signals))
         return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), begun, later)
 
-    return whole(arrays, signals)
+    return whole(arrays, signals), whole(arrays, nudged)
+
+
+def _nudged(x: np.ndarray) -> np.ndarray:
+    """Numbers of which every other one is greater, and less, by the last bit."""
+    sign = 1.0 - 2.0 * (np.arange(x.size).reshape(x.shape) % 2)
+    return (x * (1.0 + sign * np.finfo(x.dtype).eps)).astype(x.dtype)
 
 
 def _flat(tree: PyTree) -> np.ndarray:

@@ -11,7 +11,10 @@ from ._linear import (
     to_control as to_control,
     to_scipy as to_scipy,
 )
-from ._motulator import from_motulator as from_motulator
+from ._motulator import (
+    from_motulator as from_motulator,
+    save_motulator as save_motulator,
+)
 from ._motulator_observer import (
     MotulatorObserver as MotulatorObserver,
     MotulatorOutputs as MotulatorOutputs,
@@ -27,6 +30,7 @@ __all__ = [
     "kalman",
     "luenberger",
     "plant",
+    "save_motulator",
     "to_control",
     "to_nlsys",
     "to_scipy",

@@ -1,16 +1,30 @@
 """Results of motulator as a log."""
 
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from ..logs import Log
 
-__all__ = ["from_motulator"]
+__all__ = ["from_motulator", "save_motulator"]
 
 # Of the instants of the controller, which the model's are to hold (s, relative to the
 # sampling period).
 SAME = 1e-6
+# What is read of results; of an induction machine there is no `theta_m`.
+SERIES = (
+    "ctrl.t",
+    "ctrl.fbk.i_s",
+    "ctrl.fbk.u_s_zoh",
+    "ctrl.fbk.theta_c",
+    "ctrl.ref.enabled",
+    "mdl.t",
+    "mdl.machine.psi_s_ab",
+    "mdl.machine.w_M",
+    "mdl.machine.theta_m",
+)
 
 
 def from_motulator(results: Any, *, missing: str = "refuse") -> Log:
@@ -18,9 +32,8 @@ def from_motulator(results: Any, *, missing: str = "refuse") -> Log:
     commanded, in the stationary frame, and the truth of its model at the same instants.
 
     - `results`: what `Simulation.simulate` gave, of one drive without an LC filter; or
-      anything with the same attributes, `ctrl.t`, `ctrl.fbk.i_s`, `ctrl.fbk.u_s_zoh`,
-      `ctrl.fbk.theta_c`, `ctrl.ref.enabled`, and for the truth `mdl.t`,
-      `mdl.machine.psi_s_ab`, `theta_m` (not of an induction machine) and `w_M`;
+      the path of a file that [`save_motulator`][] wrote, for a Python before 3.12, which
+      has no motulator;
     - `missing`: what is done of the voltages that are not known, as in [`read_log`][].
 
     u is `u_s_zoh`, the voltage over the period that begins at the instant; `u_s` is a mean
@@ -33,6 +46,8 @@ def from_motulator(results: Any, *, missing: str = "refuse") -> Log:
     **Raises:** `ValueError` for results of another structure; [`LogError`][] as
     [`Log.from_columns`][].
     """
+    if isinstance(results, str | Path):
+        results = _loaded(results)
     ctrl, mdl = (_found(results, name) for name in ("ctrl", "mdl"))
     if getattr(mdl, "lc_filter", None) is not None:
         raise ValueError(
@@ -57,6 +72,40 @@ def from_motulator(results: Any, *, missing: str = "refuse") -> Log:
         columns["theta_electrical"] = np.unwrap(np.asarray(theta, float)[rows])
     columns["omega_mechanical"] = np.asarray(_found(machine, "w_M"), float)[rows]
     return Log.from_columns(columns, missing=missing)
+
+
+def save_motulator(results: Any, path: Path | str) -> None:
+    """Write what [`from_motulator`][] reads of `results` into the file `path`, an .npz:
+    series of the controller, and of the model at the instants of the controller.
+
+    **Raises:** `ValueError` as `from_motulator` does.
+    """
+    rows = _rows(_found(results, "mdl"), np.asarray(_found(results.ctrl, "t"), float))
+    found: dict[str, np.ndarray] = {}
+    for name in SERIES:
+        place = results
+        for part in name.split("."):
+            optional = part == "theta_m"
+            place = getattr(place, part, None) if optional else _found(place, part, name)
+        if place is not None and np.size(place):
+            series = np.asarray(place)
+            found[name] = series[rows] if name.startswith("mdl") else series
+    np.savez_compressed(path, allow_pickle=False, **found)
+
+
+def _loaded(path: Path | str) -> SimpleNamespace:
+    """The attributes that a file has the names of."""
+    found = SimpleNamespace()
+    with np.load(path) as file:
+        for name in file.files:
+            *outer, last = name.split(".")
+            place = found
+            for part in outer:
+                if not hasattr(place, part):
+                    setattr(place, part, SimpleNamespace())
+                place = getattr(place, part)
+            setattr(place, last, file[name])
+    return found
 
 
 def _found(of: Any, name: str, path: str = "") -> Any:
