@@ -15,8 +15,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 import tomlkit
-from test_cli import read_csv
-from test_explorer import LOG, MOTOR
+from test_cli import LOG, MOTOR, read_csv
 
 import aslo_jax
 from aslo_jax._studies import ready_made
@@ -177,7 +176,7 @@ def test_every_control_has_a_name_and_the_order_is_that_of_the_page(page):
     page.value("document.querySelector('canvas').focus()")
     page.press("End")
     assert page.value("document.getElementById('announce').textContent").startswith(
-        "0.1: ASLO"
+        "0.4: ASLO"
     )
     assert "ASLO: from" in page.value("document.querySelector('canvas').ariaLabel")
 
