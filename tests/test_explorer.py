@@ -177,6 +177,7 @@ def test_a_parameter_error_is_of_the_plant_and_not_of_the_description(session):
     [
         (("--machine", MOTOR), "--machine is for a LOG; name one."),
         ((LOG,), "with --machine, a TOML file"),
+        ((MOTOR,), "is a TOML file, which is no LOG"),
         (("nothing.csv", "--machine", MOTOR), "nothing.csv does not exist."),
         ((MOTOR.parent, "--machine", MOTOR), "is a directory"),
         ((MOTOR.parent,), "is not a study of aslo_jax"),
