@@ -53,7 +53,7 @@ def test_the_exported_files_give_the_same_estimate_on_the_command_line(
         "loop.pll_bandwidth": 150.0,
     }
     state = State("pmsm", horizon=0.1, seed=5, values=values)
-    code, *_ = run(capsys, *saved(session, state, "ASLO"), "--outliers", "keep")
+    code, *_ = run(capsys, *saved(session, state, "ASLO"))
     assert code == 0
     told = read_csv(tmp_path / "estimate.csv")
     result = session.source(state).result(state)
@@ -94,7 +94,7 @@ def test_so_do_those_of_other_machines_and_no_slider_compiles(
     assert drawing(session.run(moved)) != drawing(found)
     session.band(moved)
     assert session.programs.traced == traced
-    code, *_ = run(capsys, *saved(session, moved, "ASLO"), "--outliers", "keep")
+    code, *_ = run(capsys, *saved(session, moved, "ASLO"))
     assert code == 0
     told = read_csv(tmp_path / "estimate.csv")
     drawn = source.result(moved).columns["ASLO"]

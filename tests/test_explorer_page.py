@@ -235,7 +235,7 @@ def test_what_is_exported_gives_the_same_estimate(page, tmp_path):
     text = (tmp_path / "explored.toml").read_text()
     assert f"cutoff = {cutoff}" in text
     words = text.splitlines()[1].removeprefix("# aslo-jax ").split()
-    process = command(*words, "--outliers", "keep", cwd=tmp_path)
+    process = command(*words, cwd=tmp_path)
     _, said = process.communicate(timeout=120)
     assert process.returncode == 0, said
     told = read_csv(tmp_path / "estimate.csv")

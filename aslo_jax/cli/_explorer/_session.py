@@ -78,6 +78,7 @@ class Session:
                 "observers": [],
                 "knobs": [],
                 "horizons": [],
+                "horizon": None,
                 "exports": [],
             }
         source = self.source(state)
@@ -210,7 +211,7 @@ class Session:
             "toml": lambda: _text(
                 exports.MACHINE,
                 "application/toml",
-                exports.machine_text(machine, substeps, about),
+                exports.machine_text(machine, options, about),
             ),
             "python": lambda: _text(
                 "explored.py",
@@ -226,12 +227,12 @@ class Session:
         if what not in makers:
             raise StateError(f"There is no export {what[:20]!r}.")
         machine = source.described(state, name)
-        substeps, interval = 1, 0.0
-        if not isinstance(source, Simulated):
-            substeps = source.substeps(machine)
-            interval = float(source.reader.interval)
+        if isinstance(source, Simulated):
+            substeps, interval = 1, float(source.scene.content["interval"])
+            options = "--substeps 1 --outliers keep"  # what is simulated is right
         else:
-            interval = source.scene.content["interval"]
+            substeps, interval = source.substeps(machine), float(source.reader.interval)
+            options = f"--substeps {substeps}"
         return makers[what]()
 
 
