@@ -237,13 +237,14 @@ def _errors(machine: Mapping[str, Any], kind: str) -> Iterator[Knob]:
     study = studies()[kind]
     for key in study.machine.model_fields:
         value = machine.get(key)
-        if isinstance(value, int) or key in ("kind", "inertia") or not _nonzero(value):
+        if isinstance(value, int) or key in ("kind", "inertia") or not nonzero(value):
             continue
         label = key.replace("_", " ")
         yield Knob(f"error.{key}", label, "Parameter errors", 0.0, "1", -ERRORS, ERRORS)
 
 
-def _nonzero(value: Any) -> bool:
+def nonzero(value: Any) -> bool:
+    """Whether it is a real number, or some of several, and not zero."""
     if isinstance(value, list | tuple):
         return any(isinstance(x, float) and x for x in value)
     return isinstance(value, float) and value != 0.0

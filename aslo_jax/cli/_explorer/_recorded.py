@@ -105,8 +105,7 @@ class Recorded:
         yield from self._of_log()
         for each in type(self.machine.machine).model_fields:
             value = getattr(self.machine.machine, each)
-            numeric = isinstance(value, float | list)
-            if numeric and each != "inertia" and np.any(np.asarray(value) != 0):
+            if each != "inertia" and knobs.nonzero(value):
                 label, group = each.replace("_", " "), "Parameter errors"
                 limits = {"low": -knobs.ERRORS, "high": knobs.ERRORS}
                 yield Knob(f"error.{each}", label, group, 0.0, "1", **limits)
@@ -194,7 +193,8 @@ class Recorded:
         none."""
         _, log = self.moved(state)
         if log.t.size > BANDS:
-            return {"t": "", "bands": {}}
+            note = f"no band: the log has more than {BANDS:,} rows"
+            return {"t": "", "bands": {}, "note": note}
         every = max(1, log.t.size // POINTS)
         found: dict[str, np.ndarray] = {}
         for name in self.chosen(state):

@@ -247,6 +247,7 @@ function say() {
   const parts = [];
   if (run.seconds !== undefined) parts.push(`run ${shown(1000 * run.seconds)} ms`);
   if (band?.t && band.n === run.n) parts.push(`band ${shown(1000 * band.seconds)} ms`);
+  else if (band?.note) parts.push(band.note);
   else if (run.t && state.source !== "results") parts.push("band: computing (the first takes a few seconds to compile)");
   parts.push(...(run.notes ?? []));
   $("status").textContent = parts.join("  ·  ");
