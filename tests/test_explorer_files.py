@@ -10,6 +10,7 @@ import pytest
 from explorers import drawing, unpacked
 from test_cli import LOG, MOTOR, read_csv, run
 
+from aslo_jax.cli import _table as tables
 from aslo_jax.cli._explorer._panels import Result
 from aslo_jax.cli._explorer._recorded import FILE, Recorded
 from aslo_jax.cli._explorer._results import Results
@@ -164,6 +165,12 @@ def test_a_log_is_estimated_as_on_the_command_line(recorded, saved, capsys, tmp_
     for name in ("flux_alpha", "flux_beta", "theta_electrical", "omega_electrical"):
         size = np.abs(drawn[name]).max()
         np.testing.assert_allclose(told[name], drawn[name], rtol=0, atol=1e-9 * size)
+    # As the machine's file has it, where nothing is moved.
+    own, log = read_machine(MOTOR), recorded.recorded.log
+    plain = tables.estimate_log(log, own, own.rates(log), 4)
+    still = recorded.source(state).result(State("log")).columns[FILE]
+    for name in plain:
+        np.testing.assert_array_equal(still[name], plain[name])
     about = recorded.about(state)
     assert about["sources"][0] == {"id": "log", "title": "Log: own.csv"}
     assert [each["name"] for each in about["observers"] if each["shown"]] == [

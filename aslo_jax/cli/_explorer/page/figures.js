@@ -2,7 +2,7 @@
 
 import { shown } from "./axes.js";
 import { made } from "./controls.js";
-import { described, draw, nearest, readout, theme } from "./plot.js";
+import { described, draw, nearest, readout, theme, titleOf } from "./plot.js";
 
 export const figures = new Map(); // by the name of the panel
 let cursor = null;
@@ -75,23 +75,9 @@ export function paint(figure) {
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
   figure.area = draw(context, panel, width, height, theme(), page.style, cursor);
-  const unit = panel.unit && panel.unit !== "1" ? ` (${panel.unit})` : "";
-  figure.caption.textContent = `${panel.title}${unit}${bandText(panel)}`;
+  figure.caption.textContent = titleOf(panel);
   figure.told.textContent = cursor === null ? "" : `at ${shown(cursor)}:  ${readout(panel, cursor)}`;
   canvas.setAttribute("aria-label", described(panel));
-}
-
-// Whether a line leaves the axes, as the transient of a start does.
-function clipped(panel) {
-  if (panel.log) return "";
-  const out = (x) => x < panel.y.low || x > panel.y.high;
-  return panel.lines.some((line) => line.values.some(out)) ? ", clipped" : "";
-}
-
-function bandText(panel) {
-  if (!panel.bands) return clipped(panel);
-  const [first] = Object.values(panel.bands.of);
-  return first ? `, with the 5 to 95 % of ${first.runs} runs` : "";
 }
 
 // A number that tells two drawings apart.

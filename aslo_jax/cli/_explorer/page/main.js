@@ -219,7 +219,7 @@ function redraw() {
   if (!run.t) resultControls($("results"), run, { against, openSample });
   const body = document.body.dataset;
   body.drawn = String(run.n);
-  body.traced = String(run.traced ?? 0);
+  body.traced = String(Math.max(run.traced ?? 0, band?.traced ?? 0));
   body.digest = digest(run.panels);
 }
 
