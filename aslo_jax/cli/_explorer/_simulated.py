@@ -16,6 +16,9 @@ from ._programs import Programs
 from ._scene import Moved, Scene
 from ._state import State, StateError
 
+PLAIN = ("aslo", "a-aslo")  # told from each other by a gain
+ALWAYS = {"velocity_cutoff": 200.0, "completion": "least-squares", "start": "exact"}
+
 
 class _Estimate(NamedTuple):
     """An estimate, in arrays of NumPy."""
@@ -73,32 +76,23 @@ class Simulated:
         if name not in moved.content["observers"]:
             raise StateError(f"There is no observer {name[:60]!r} here.")
         base = machine_of(moved.content)
-        keys = dict(moved.content["observers"][name])
-        kind = keys.pop("kind")
-        known = type(base.observer).model_fields
-        kinds = ("aslo", "a-aslo", "lifted_kalman", "adaptive")
-        options = getattr(known.get("kind"), "annotation", None)
-        if kind in kinds[2:]:
+        given = dict(moved.content["observers"][name])
+        kind, known = given.pop("kind"), type(base.observer).model_fields
+        keys = {k: v for k, v in given.items() if v is not None}
+        # What a description does not know may stand at what it always does.
+        keys = {k: v for k, v in keys.items() if k in known or v != ALWAYS.get(k)}
+        if kind not in PLAIN:
             keys["kind"] = kind
-        defaults = {"velocity_cutoff": 200.0, "completion": "least-squares"}
-        keys = {
-            k: v
-            for k, v in keys.items()
-            if v is not None
-            and (k in known or v != defaults.get(k))
-            and not (k == "start" and v == "exact" and k not in known)
-        }
-        refused = [k for k in keys if k not in known]
-        allowed = kind in kinds[:2] or kind in getattr(options, "__args__", ())
-        if not allowed or refused:
-            why = f"`{refused[0]}`" if allowed else f'an observer of the kind "{kind}"'
+        kinds = getattr(known.get("kind"), "annotation", None)
+        said = kind in PLAIN or kind in getattr(kinds, "__args__", ())
+        unknown = [key for key in keys if key not in known]
+        if not said or unknown:
+            what = f"`{unknown[0]}`" if said else f'an observer of the kind "{kind}"'
             raise StateError(
-                f'A machine description of the kind "{base.kind}" cannot say {why}, as '
+                f'A machine description of the kind "{base.kind}" cannot say {what}, as '
                 f"{name} has it; export the study instead, which can."
             )
-        if LOOP in state.values:
-            keys["pll_bandwidth"] = state.values[LOOP]
-        elif "pll_bandwidth" in known:
+        if "pll_bandwidth" in known:
             keys["pll_bandwidth"] = float(_loop(self.scene, state))
         content = {"machine": base.machine.model_dump(), "observer": keys}
         try:
