@@ -1,16 +1,19 @@
 """The explorer's states, knobs and loops."""
 
+import tomllib
+
 import numpy as np
 import pytest
 from explorers import drawing, unpacked
 from test_cli import LOG, MOTOR, refusal
 
+from aslo_jax._studies import ready_made
 from aslo_jax.cli._explorer import (
     _exports as exports,
     _knobs as knobs,
     _programs as programs,
 )
-from aslo_jax.cli._explorer._scene import PRINTED, ready
+from aslo_jax.cli._explorer._scene import PRINTED, ready, scene_of
 from aslo_jax.cli._explorer._session import Session
 from aslo_jax.cli._explorer._state import State, StateError
 from aslo_jax.study._config import configure
@@ -140,6 +143,28 @@ def test_without_tolerances_and_noise_all_runs_are_the_one(session):
         assert (unpacked(of["low"]) < unpacked(of["high"])).all()
 
 
+def test_a_plant_that_cannot_be_is_refused(session):
+    values = {"error.mutual_inductance": 0.2}
+    with pytest.raises(StateError, match=r"^This machine cannot be: .*mutual_inductance"):
+        session.run(State("wrim", values=values))
+    values = {"error.mutual_inductance": 0.13}
+    with pytest.raises(StateError, match=r"^\d+ of 256 machines cannot be: "):
+        session.band(State("wrim", values=values, tolerance=3.0))
+
+
+def test_a_study_that_says_its_first_flux_and_noises_keeps_them():
+    content = tomllib.loads(ready_made("pmsm"))
+    content["machine"]["initial"] = {"flux": [0.1, 0.1]}
+    content["sensor"][0]["deviation"] = [0.01, 0.02]
+    scene = scene_of(content)
+    keys = {knob.key for knob in scene.knobs(State("study"))}
+    assert not keys & {"machine.initial.angle", "noise.sensor"}
+    moved = scene.moved(State("study", values={"error.magnet_flux": 0.1})).content
+    assert moved["machine"]["initial"]["flux"] == [0.1, 0.1]
+    assert moved["sensor"][0]["deviation"] == [0.01, 0.02]
+    assert moved["machine"]["load"] == content["machine"]["load"]
+
+
 def test_a_parameter_error_is_of_the_plant_and_not_of_the_description(session):
     source = session.source(State("pmsm"))
     values = {"error.resistance": 0.2, "error.magnet_flux": -0.1}
@@ -152,7 +177,7 @@ def test_a_parameter_error_is_of_the_plant_and_not_of_the_description(session):
     assert true["plant.resistance"] == pytest.approx(1.2 * 8.875)
     assert true["observers.ASLO.relation.resistance"] == 8.875
     # It starts without current, and so does each run of a band.
-    lanes = programs.band_lanes(layout, source.scene.tolerances, 0, 1.0)
+    lanes = programs.band_lanes(layout, source.scene.tolerances, 0, 1.0, True)
     numbers = [p for p, x in true.items() if programs.is_number(x)]
     every = dict(zip(numbers, lanes, strict=True))
     for leaves in (true, every):

@@ -214,9 +214,11 @@ def _signals(content: Mapping[str, Any], kind: str) -> Iterator[Knob]:
     ):
         what = "outputs" if place == "sensor" else "inputs"
         deviation = noise_of(content, place)
-        high = max(noise, deviation)
+        high = max(noise, deviation or 0.0)
         limits: dict[str, Any] = {"low": high * 1e-4, "high": high, "scale": "zero-log"}
-        yield Knob(f"noise.{place}", f"of the {what}", "Noise", deviation, unit, **limits)
+        key, label = f"noise.{place}", f"of the {what}"
+        if deviation is not None:
+            yield Knob(key, label, "Noise", deviation, unit, **limits)
         for k, column in enumerate(columns):
             yield Knob(f"offset.{place}.{k}", column, "Offsets", 0.0, unit, -offset, offset)
     if SIGNALS[kind][2]:
@@ -224,12 +226,13 @@ def _signals(content: Mapping[str, Any], kind: str) -> Iterator[Knob]:
         yield Knob("dead_time.voltage", label, "Inverter", 0.0, "V", 0.0, most)
 
 
-def noise_of(content: Mapping[str, Any], place: str) -> float:
-    """The deviation of the white noise of a signal, zero where it has none, or several."""
+def noise_of(content: Mapping[str, Any], place: str) -> float | None:
+    """The deviation of the white noise of a signal; nothing where it has another for each
+    entry."""
     for table in content.get(place, ()):
         if table["kind"] == "noise" and not isinstance(table["deviation"], list):
             return float(table["deviation"])
-    return 0.0
+    return None
 
 
 def _errors(machine: Mapping[str, Any], kind: str) -> Iterator[Knob]:

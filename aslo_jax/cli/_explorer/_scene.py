@@ -36,12 +36,15 @@ class Scene:
     """A source that is simulated.
 
     - `title`: what it is; `content`: that of its study, every key of it that is moved
-      there; `observers`: the names of those that are shown at first.
+      there; `observers`: the names of those that are shown at first;
+    - `idle`: whether a motor with a magnet starts without current, its flux that of the
+      magnet, where the study does not say otherwise.
     """
 
     title: str
     content: Mapping[str, Any]
     observers: tuple[str, ...]
+    idle: bool
 
     @functools.cached_property
     def tolerances(self) -> Spread:
@@ -73,7 +76,10 @@ class Scene:
 
     def knobs(self, state: State) -> list[Knob]:
         """Those of the observers of a `state`."""
-        return knobs.of_content(self.content, self.chosen(state))
+        found = knobs.of_content(self.content, self.chosen(state))
+        if self.idle or self.kind != "pmsm":
+            return found
+        return [knob for knob in found if knob.key != "machine.initial.angle"]
 
     def steps(self, state: State) -> int:
         """How many intervals a run has.
@@ -116,7 +122,8 @@ class Scene:
                 new["actuator"][-1]["voltage"] = float(value)
             elif key != knobs.LOOP:
                 _set(new, key, value)
-        _magnet_at(new["machine"], errors)
+        if self.idle:
+            _magnet_at(new["machine"], errors)
         return Moved(new, errors, self.steps(state))
 
 
@@ -175,10 +182,13 @@ def scene_of(content: Mapping[str, Any], title: str | None = None) -> Scene:
     if knobs.SIGNALS[kind][2]:
         _in_a_chain(new, "actuator")
         new["actuator"] = [*map(dict, new.get("actuator", ())), dict(DEAD_TIME)]
+    idle = kind == "pmsm" and not (new["machine"].get("initial") or {}).get("flux")
     _complete(new, ready_made=title is not None)
+    if idle:
+        _magnet_at(new["machine"], {})
     if title is None:  # those that are ready made are right
         title = configure(new).title
-    return Scene(title, new, first)
+    return Scene(title, new, first, idle)
 
 
 def _in_a_chain(content: dict[str, Any], place: str) -> None:
@@ -207,15 +217,13 @@ def _complete(content: dict[str, Any], *, ready_made: bool) -> None:
     if machine["kind"] == "magnetic_bearing":
         initial = {"position": 0.0} | initial
     machine["initial"] = initial
-    _magnet_at(machine, {})
 
 
 def _magnet_at(machine: dict[str, Any], errors: Mapping[str, float]) -> None:
     """A motor with a magnet starts without current, whatever its angle."""
-    if machine["kind"] == "pmsm":
-        turned = machine["pole_pairs"] * machine["initial"]["angle"]
-        flux = machine["magnet_flux"] * (1.0 + errors.get("magnet_flux", 0.0))
-        machine["initial"]["flux"] = [flux * math.cos(turned), flux * math.sin(turned)]
+    turned = machine["pole_pairs"] * machine["initial"]["angle"]
+    flux = machine["magnet_flux"] * (1.0 + errors.get("magnet_flux", 0.0))
+    machine["initial"]["flux"] = [flux * math.cos(turned), flux * math.sin(turned)]
 
 
 def _set_noise(parts: list[dict[str, Any]], deviation: float) -> None:

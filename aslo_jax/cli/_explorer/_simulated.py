@@ -12,6 +12,7 @@ from .._table import Estimator
 from . import _programs as programs
 from ._knobs import LOOP
 from ._panels import Result, band_of
+from ._possible import refuse_impossible
 from ._programs import Programs
 from ._scene import Moved, Scene
 from ._state import State, StateError
@@ -39,6 +40,7 @@ class Simulated:
     def result(self, state: State) -> Result:
         """One run: plant, controller, disturbances, and the observers that are shown."""
         moved = self.scene.moved(state)
+        refuse_impossible(moved.content["machine"], moved.errors)
         layout = programs.layout_of(moved, state.seed)
         lanes = [x[None] for x in programs.numbers(layout)]
         every = programs.Everything()
@@ -55,8 +57,11 @@ class Simulated:
         """The errors of many runs that differ in parameters and noise."""
         moved = self.scene.moved(state)
         layout = programs.layout_of(moved, state.seed)
+        tolerances = self.scene.tolerances
+        draws = programs.drawn(tolerances, state.seed)
+        refuse_impossible(moved.content["machine"], moved.errors, draws, state.tolerance)
         lanes = programs.band_lanes(
-            layout, self.scene.tolerances, state.seed, state.tolerance
+            layout, tolerances, state.seed, state.tolerance, self.scene.idle
         )
         every = _divisor(moved.steps, max(1, moved.steps // programs.POINTS))
         scale = self._scale()
