@@ -113,7 +113,7 @@ def test_its_own_names_are_answered(server):
         own = {"Host": f"{name}:{port}", "Origin": f"http://{name}:{port}"}
         status, _, body = ask(server, "/api/about", Sec_Fetch_Site="same-origin", **own)
         assert status == 200
-        assert json.loads(body)["title"] == "PMSM under speed control"
+        assert json.loads(body)["title"] == "Surface-mounted PMSM"
 
 
 def test_a_wrong_state_is_told_in_one_line(server):

@@ -5,10 +5,11 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from ...machines import KINDS
 from ._newest import Newest
 from ._panels import number
 from ._programs import Programs
-from ._scene import READY, ready
+from ._scene import names, ready
 from ._simulated import Simulated
 from ._state import State, StateError
 
@@ -62,7 +63,7 @@ class Session:
 
     def about(self, state: State) -> dict[str, Any]:
         """What the page needs to show its controls: sources, observers, knobs."""
-        sources = [{"id": name, "title": title} for name, title in READY.items()]
+        sources = [{"id": name, "title": KINDS[name].title} for name in names()]
         if self.results is not None:
             title = self.results.title
             sources.insert(0, {"id": "results", "title": f"Results: {title}"})
