@@ -15,8 +15,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 import tomlkit
-from test_cli import read_csv
-from test_explorer import LOG, MOTOR
+from test_cli import LOG, MOTOR, read_csv
 
 import aslo_jax
 from aslo_jax._studies import ready_made
@@ -177,7 +176,7 @@ def test_every_control_has_a_name_and_the_order_is_that_of_the_page(page):
     page.value("document.querySelector('canvas').focus()")
     page.press("End")
     assert page.value("document.getElementById('announce').textContent").startswith(
-        "0.1: ASLO"
+        "0.4: ASLO"
     )
     assert "ASLO: from" in page.value("document.querySelector('canvas').ariaLabel")
 
@@ -236,7 +235,7 @@ def test_what_is_exported_gives_the_same_estimate(page, tmp_path):
     text = (tmp_path / "explored.toml").read_text()
     assert f"cutoff = {cutoff}" in text
     words = text.splitlines()[1].removeprefix("# aslo-jax ").split()
-    process = command(*words, "--outliers", "keep", cwd=tmp_path)
+    process = command(*words, cwd=tmp_path)
     _, said = process.communicate(timeout=120)
     assert process.returncode == 0, said
     told = read_csv(tmp_path / "estimate.csv")

@@ -31,7 +31,7 @@ def explore(
     log_or_study: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[LOG|STUDY]",
+            metavar="LOG|STUDY",
             help="A log of one's own, with --machine, or the results of a study: the "
             "directory of its --out. Without, ready-made machines and mechanisms.",
         ),
@@ -125,6 +125,11 @@ def _opened(path: Path, machine: Path | None, options: tuple[Any, ...]) -> "Sess
         return Session(results=Results(store))
     if not path.exists():
         raise FileNotFoundError(f"{path} does not exist.")
+    if path.suffix == ".toml":
+        raise ValueError(
+            f"{path} is a TOML file, which is no LOG: a machine's goes with --machine, and "
+            "of a study the directory of its --out is opened."
+        )
     if machine is None:
         raise ValueError(
             f"give the machine of {path} with --machine, a TOML file; `aslo-jax sample` "

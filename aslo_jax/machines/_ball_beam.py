@@ -6,7 +6,7 @@ from ..plants import BallBeam
 from ..schema import Positive, Table, key
 from ._base import Layout, Unknowns
 from ._mechanism import AbstractMechanism, Two, layout, study
-from ._study import Study
+from ._study import Errors, Explored, Range, Study
 
 
 class BallBeamTable(Table):
@@ -36,7 +36,23 @@ class BallBeamDescription(AbstractMechanism[BallBeamTable]):
     )
     unknowns: ClassVar[Unknowns] = Unknowns(("length", "damping"), further=("gravity",))
     study: ClassVar[Study | None] = study(
-        BallBeamTable, BallBeam, {"ball": "m/s", "beam": "rad/s"}, "ball_beam_tracking"
+        BallBeamTable,
+        BallBeam,
+        {"ball": "m/s", "beam": "rad/s"},
+        "ball_beam_tracking",
+        explored=Explored(
+            run=(
+                Range("control.reference.amplitude", "ball, swing", "m", 0.0, 0.5),
+                Range("control.reference.frequency", "its frequency", "rad/s", 0.0, 2.0),
+            ),
+            start=(
+                Range("machine.initial.position.0", "position of the ball", "m", -0.5, 0.5),
+                Range("machine.initial.position.1", "angle of the beam", "rad", -0.6, 0.6),
+                Range("machine.initial.velocity.1", "its rate", "rad/s", -2.0, 2.0),
+            ),
+            outputs=Errors("m, rad", noise=1e-2, offset=0.05),
+            inputs=Errors("N m/kg", noise=1.0, offset=1.0),
+        ),
     )
 
     def plant(self) -> Any:

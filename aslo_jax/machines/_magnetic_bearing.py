@@ -27,7 +27,7 @@ from ._base import (
 )
 from ._condensed import CondensedLog
 from ._lifted import ObserverTable, is_lifted, lifted
-from ._study import Study
+from ._study import Errors, Explored, Range, Study
 
 # A body at rest shows nothing: the cutoff is below the frequencies at which one moves. With
 # 1 mA of noise on 0.5 A, 30 and 200 rad/s gave 2 % of the position and 6 % of the velocity
@@ -164,6 +164,18 @@ class MagneticBearingDescription(
         plant=_suspended,
         observers={"aslo": _observer},
         controls=("levitation",),
+        explored=Explored(
+            run=(
+                Range("control.reference.amplitude", "position, swing", "m", 0.0, 2e-4),
+                Range("control.reference.frequency", "its frequency", "rad/s", 0.0, 200.0),
+                Range("control.ripple", "voltage ripple", "V", 0.0, 30.0),
+                Range("machine.force.amplitude", "outer force, swing", "N", 0.0, 15.0),
+            ),
+            start=(Range("machine.initial.position", "position", "m", -2e-4, 2e-4),),
+            outputs=Errors("A", noise=0.05, offset=0.05),
+            inputs=Errors("V", noise=1.0, offset=1.0),
+            initial={"position": 0.0},
+        ),
     )
 
     def plant(self) -> Any:

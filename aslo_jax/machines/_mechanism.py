@@ -31,7 +31,7 @@ from ._base import (
 )
 from ._condensed import CondensedLog
 from ._frequency import cutoff_for_positions
-from ._study import Study
+from ._study import Explored, Study
 
 # A certificate begins as (cutoff t)^2/3, or without least squares as (cutoff t)^2, where
 # the encoder's steps are divided by t: at 12 bits, the first certified rows are 3 to 30 %
@@ -78,6 +78,7 @@ def study(
     control: str,
     *,
     bound: bool = False,
+    explored: Explored | None = None,
 ) -> Study:
     """How a mechanism takes part in studies: `plant` is the class of its plant,
     `velocities` are the units of what is estimated, by name."""
@@ -90,6 +91,7 @@ def study(
         observers=offers.of_mechanism(threshold=THRESHOLD),
         controls=(control,),
         bound=bound,
+        explored=explored,
     )
 
 

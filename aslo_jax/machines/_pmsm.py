@@ -7,7 +7,7 @@ from ..plants import PMSM, FluxRelation
 from ..schema import Positive, Table, Whole, key
 from . import motor, offers
 from ._base import Unknowns
-from ._study import Study
+from ._study import Errors, Explored, Range, Study
 
 
 class PMSMTable(Table):
@@ -49,6 +49,25 @@ class PMSMDescription(motor.AbstractRoundMotor[PMSMTable]):
         controls=("field_oriented",),
         metrics=("angle", "peak_angle"),
         bound=True,
+        explored=Explored(
+            run=(
+                Range("control.reference.offset", "speed, mean", "rad/s", -80.0, 80.0),
+                Range("control.reference.amplitude", "speed, swing", "rad/s", 0.0, 40.0),
+                Range("control.reference.frequency", "its frequency", "rad/s", 0.0, 40.0),
+                Range("machine.load.offset", "load torque", "N m", -2.0, 2.0),
+            ),
+            start=(
+                Range("machine.initial.speed", "speed", "rad/s", -80.0, 80.0),
+                Range("machine.initial.angle", "rotor angle", "rad", -0.6, 0.6),
+            ),
+            outputs=Errors("A", noise=0.3, offset=0.3),
+            inputs=Errors("V", noise=3.0, offset=3.0),
+            dead_time=10.0,
+            initial={"speed": 0.0, "angle": 0.0},
+            # At standstill nothing shows its flux, and the load would stall it first.
+            usual={"machine.initial.speed": 20.0, "machine.load.offset": 0.0},
+            magnet=True,
+        ),
     )
 
     def plant(self) -> Any:

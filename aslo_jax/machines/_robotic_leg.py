@@ -6,7 +6,7 @@ from ..plants import RoboticLeg
 from ..schema import Positive, Table, key
 from ._base import Layout, Unknowns
 from ._mechanism import AbstractMechanism, Three, layout, study
-from ._study import Study
+from ._study import Errors, Explored, Range, Study
 
 
 class RoboticLegTable(Table):
@@ -43,6 +43,20 @@ class RoboticLegDescription(AbstractMechanism[RoboticLegTable]):
         {"length": "m/s", "leg": "rad/s", "body": "rad/s"},
         "tracking",
         bound=True,
+        explored=Explored(
+            run=(
+                Range("control.reference.amplitude.0", "length, swing", "m", 0.0, 0.5),
+                Range("control.reference.amplitude.1", "angle, swing", "rad", 0.0, 1.5),
+                Range("control.bandwidth", "of the tracking", "rad/s", 0.5, 20.0),
+            ),
+            start=(
+                Range("machine.initial.position.0", "length", "m", 0.3, 2.0),
+                Range("machine.initial.position.1", "angle of the leg", "rad", -1.5, 1.5),
+                Range("machine.initial.velocity.1", "its rate", "rad/s", -3.0, 3.0),
+            ),
+            outputs=Errors("m, rad", noise=1e-2, offset=0.05),
+            inputs=Errors("N, N m", noise=5.0, offset=5.0),
+        ),
     )
 
     def plant(self) -> Any:

@@ -36,6 +36,51 @@ def first_state(plant: AbstractPlant, table: Any) -> Any:
     return state
 
 
+@dataclasses.dataclass(frozen=True)
+class Range:
+    """A number of a study's file that is moved by hand: its `key` there, such as
+    `"control.reference.amplitude.0"`, in words (`label`), in `unit`, from `low` to `high`.
+    """
+
+    key: str
+    label: str
+    unit: str
+    low: float
+    high: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Errors:
+    """What may be added to a signal, at most, in its `unit`: `noise`, white, by its standard
+    deviation, and an `offset`."""
+
+    unit: str
+    noise: float
+    offset: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Explored:
+    """How an experiment of a kind is moved by hand, by `aslo-jax explore`.
+
+    - `run`: what it does; `start`: the state in which it starts;
+    - `outputs`, `inputs`: what may be wrong with them;
+    - `dead_time` (V): the largest of its inverter, zero where it has none;
+    - `initial`: the state in which it starts where a file does not say, by key;
+    - `usual`: where the ready-made study is begun differently, by key of the file;
+    - `magnet`: whether the flux of a magnet makes it start without current.
+    """
+
+    run: tuple[Range, ...]
+    start: tuple[Range, ...]
+    outputs: Errors
+    inputs: Errors
+    dead_time: float = 0.0
+    initial: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    usual: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    magnet: bool = False
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Study:
     """How a kind of machine takes part in studies.
@@ -54,6 +99,7 @@ class Study:
     - `leaf_units`: the units of what may be spread, by path, beside keys of the machine;
     - `of(table)`: of the machine of one file, where `entries`, `units` and `observers`
       depend on that; the names in `observers` are then those of every one.
+    - `explored`: how it is moved by hand, `None` where it is not.
     """
 
     machine: type[Table]
@@ -68,6 +114,7 @@ class Study:
     start: Callable[[AbstractPlant, Any], Any] = first_state
     leaf_units: Mapping[str, str] = dataclasses.field(default_factory=dict)
     of: "Callable[[Any], Study] | None" = None
+    explored: Explored | None = None
 
     def of_file(self, table: Any) -> "Study":
         """The study of the machine of a file."""

@@ -30,7 +30,7 @@ from ._base import (
 from ._condensed import CondensedLog
 from ._lifted import ObserverTable, deviations_of, is_lifted, lifted
 from ._speed import cutoff_for, turning_speed
-from ._study import Study
+from ._study import Errors, Explored, Range, Study
 
 NO_ANGLE = "the table has no angle that a phase-locked loop could follow; remove it"
 STATOR, ROTOR = ("flux_s_alpha", "flux_s_beta"), ("flux_r_alpha", "flux_r_beta")
@@ -136,6 +136,22 @@ class WRIMDescription(AbstractDescription[WRIMTable, WRIMObserver]):
         | offers.lifted(_relations)
         | offers.mixing(_relations),
         controls=("open_loop",),
+        explored=Explored(
+            run=(
+                Range("control.signal.amplitude", "supply, amplitude", "V", 1.0, 60.0),
+                Range("control.signal.frequency", "its frequency", "rad/s", 1.0, 100.0),
+                Range("control.signal.depth", "modulation, depth", "", 0.0, 0.8),
+                Range("control.signal.rate", "its frequency", "rad/s", 0.0, 20.0),
+                Range("machine.load.offset", "load torque", "N m", 0.0, 10.0),
+            ),
+            start=(
+                Range("machine.initial.speed", "speed", "rad/s", -80.0, 80.0),
+                Range("machine.initial.angle", "rotor angle", "rad", -3.0, 3.0),
+            ),
+            outputs=Errors("A", noise=0.5, offset=0.5),
+            inputs=Errors("V", noise=2.0, offset=2.0),
+            initial={"speed": 0.0, "angle": 0.0},
+        ),
     )
 
     def plant(self) -> Any:

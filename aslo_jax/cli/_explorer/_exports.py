@@ -20,15 +20,15 @@ from ._scene import Moved
 LOG, MACHINE = "explored.csv", "explored.toml"
 
 
-def machine_text(machine: AbstractDescription, substeps: int, about: str) -> str:
+def machine_text(machine: AbstractDescription, options: str, about: str) -> str:
     """The description of a machine and its observer as TOML, with the command that gives
-    the estimate that was seen."""
+    the estimate that was seen, by these `options`."""
     content = {
         "machine": machine.machine.model_dump(exclude_none=True),
         "observer": _stated(machine.observer),
     }
     return (
-        f"# {about}\n# aslo-jax estimate {LOG} --machine {MACHINE} --substeps {substeps} "
+        f"# {about}\n# aslo-jax estimate {LOG} --machine {MACHINE} {options} "
         f"--out estimate.csv\n{tomlkit.dumps(content)}"
     )
 

@@ -1,12 +1,12 @@
 """Knobs: what of a source can be moved, between which limits."""
 
 import dataclasses
-import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from ...machines import studies
 from ...machines._registry import KINDS
+from ...machines._study import Explored, Range
 from ...schema._table import unit_of
 from ...study._config.observers import Observer
 from ._state import StateError
@@ -78,85 +78,31 @@ def settings(
     }
 
 
-# By kind of machine: key of the content, label, unit, low, high.
-_SPEED = "control.reference.offset"
-CONDITIONS: dict[str, tuple[tuple[str, str, str, float, float], ...]] = {
-    "pmsm": (
-        (_SPEED, "speed, mean", "rad/s", -80.0, 80.0),
-        ("control.reference.amplitude", "speed, swing", "rad/s", 0.0, 40.0),
-        ("control.reference.frequency", "swing, frequency", "rad/s", 0.0, 40.0),
-        ("machine.load.offset", "load torque", "N m", -2.0, 2.0),
-    ),
-    "wrim": (
-        ("control.signal.amplitude", "supply, amplitude", "V", 1.0, 60.0),
-        ("control.signal.frequency", "supply, frequency", "rad/s", 1.0, 100.0),
-        ("control.signal.depth", "modulation, depth", "", 0.0, 0.8),
-        ("control.signal.rate", "modulation, frequency", "rad/s", 0.0, 20.0),
-        ("machine.load.offset", "load torque", "N m", 0.0, 10.0),
-    ),
-    "robotic_leg": (
-        ("control.reference.amplitude.0", "length, swing", "m", 0.0, 0.5),
-        ("control.reference.amplitude.1", "angle, swing", "rad", 0.0, 1.5),
-        ("control.bandwidth", "tracking, bandwidth", "rad/s", 0.5, 20.0),
-    ),
-    "ball_beam": (
-        ("control.reference.amplitude", "ball, swing", "m", 0.0, 0.5),
-        ("control.reference.frequency", "swing, frequency", "rad/s", 0.0, 2.0),
-    ),
-    "magnetic_bearing": (
-        ("control.reference.amplitude", "position, swing", "m", 0.0, 2e-4),
-        ("control.reference.frequency", "swing, frequency", "rad/s", 0.0, 200.0),
-        ("control.ripple", "voltage ripple", "V", 0.0, 30.0),
-        ("machine.force.amplitude", "outer force, swing", "N", 0.0, 15.0),
-    ),
-    "double_integrator": (),
-}
-# By kind: unit, largest noise and offset of an output, of an input; largest dead time (V).
-SIGNALS: dict[str, tuple[tuple[str, float, float], tuple[str, float, float], float]] = {
-    "pmsm": (("A", 0.3, 0.3), ("V", 3.0, 3.0), 10.0),
-    "wrim": (("A", 0.5, 0.5), ("V", 2.0, 2.0), 0.0),
-    "robotic_leg": (("m, rad", 1e-2, 0.05), ("N, N m", 5.0, 5.0), 0.0),
-    "ball_beam": (("m, rad", 1e-2, 0.05), ("N m/kg", 1.0, 1.0), 0.0),
-    "magnetic_bearing": (("A", 0.05, 0.05), ("V", 1.0, 1.0), 0.0),
-}
-# By kind: key of `machine.initial`, of which entries, label, unit, half of the range.
-STARTING: dict[str, tuple[tuple[str, str, str, float], ...]] = {
-    "pmsm": (
-        ("speed", "speed", "rad/s", 80.0),
-        ("angle", "rotor angle", "rad", math.pi / 5),
-    ),
-    "wrim": (
-        ("speed", "speed", "rad/s", 80.0),
-        ("angle", "rotor angle", "rad", math.pi),
-    ),
-    "robotic_leg": (
-        ("position.0", "length", "m", 0.8),
-        ("position.1", "angle of the leg", "rad", 1.5),
-        ("velocity.1", "rate of the leg", "rad/s", 3.0),
-    ),
-    "ball_beam": (
-        ("position.0", "position of the ball", "m", 0.5),
-        ("position.1", "angle of the beam", "rad", 0.6),
-        ("velocity.1", "rate of the beam", "rad/s", 2.0),
-    ),
-    "magnetic_bearing": (("position", "position", "m", 2e-4),),
-}
-
-
 def of_content(content: Mapping[str, Any], observers: Iterable[str]) -> list[Knob]:
     """The knobs of a study's `content`, with the gains of these of its `observers`."""
     kind = content["machine"]["kind"]
+    explored = studies()[kind].explored
+    assert explored is not None, "a scene is of a kind that is explored"
     found = [k for name in observers for k in gains(name, content["observers"][name])]
-    if kind == "pmsm":
+    if "pll_bandwidth" in observer_fields(kind):
         found.append(loop(0.5 / content["interval"]))
-    found += _starts(kind, content["machine"].get("initial") or {})
-    for key, label, unit, low, high in CONDITIONS.get(kind, ()):
-        value = at(content, key)
-        if value is not None:
-            low, high = min(low, value), max(high, value)
-            found.append(Knob(key, label, "Run", float(value), unit, low, high))
-    found += _signals(content, kind)
+    for group, ranges in (("Start", explored.start), ("Run", explored.run)):
+        found += (knob for each in ranges for knob in _ranged(content, each, group))
+    found += _signals(content, kind, explored)
     return [*found, *_errors(content["machine"], kind)]
+
+
+def _ranged(content: Mapping[str, Any], about: Range, group: str) -> Iterator[Knob]:
+    value = at(content, about.key)
+    if value is not None:
+        low, high = min(about.low, value), max(about.high, value)
+        yield Knob(about.key, about.label, group, float(value), about.unit, low, high)
+
+
+def observer_fields(kind: str) -> Mapping[str, Any]:
+    """The keys of `[observer]` of a machine's description."""
+    table: Any = KINDS[kind].model_fields["observer"].annotation
+    return table.model_fields
 
 
 def gains(name: str, table: Mapping[str, Any]) -> Iterator[Knob]:
@@ -193,43 +139,33 @@ def _fields(kind: str) -> Mapping[str, Any]:
     return {}
 
 
-def _starts(kind: str, initial: Mapping[str, Any]) -> Iterator[Knob]:
-    for name, label, unit, half in STARTING.get(kind, ()):
-        value = at(initial, name)
-        if value is not None:
-            low, high = min(-half, value), max(half, value)
-            if kind == "robotic_leg" and name == "position.0":
-                low = min(0.3, value)
-            key = f"machine.initial.{name}"
-            yield Knob(key, label, "Start", float(value), unit, low, high)
-
-
-def _signals(content: Mapping[str, Any], kind: str) -> Iterator[Knob]:
-    if kind not in SIGNALS or kind not in KINDS:
-        return
+def _signals(content: Mapping[str, Any], kind: str, explored: Explored) -> Iterator[Knob]:
     of = KINDS[kind].layout.signals
-    pairs = (("sensor", of.outputs), ("input_sensor", of.inputs))
-    for (place, columns), (unit, noise, offset) in zip(
-        pairs, SIGNALS[kind][:2], strict=True
+    for place, columns, what, about in (
+        ("sensor", of.outputs, "outputs", explored.outputs),
+        ("input_sensor", of.inputs, "inputs", explored.inputs),
     ):
-        what = "outputs" if place == "sensor" else "inputs"
-        deviation = noise_of(content, place)
-        high = max(noise, deviation)
+        deviation, unit = noise_of(content, place), about.unit
+        high = max(about.noise, deviation or 0.0)
         limits: dict[str, Any] = {"low": high * 1e-4, "high": high, "scale": "zero-log"}
-        yield Knob(f"noise.{place}", f"of the {what}", "Noise", deviation, unit, **limits)
+        key, label = f"noise.{place}", f"of the {what}"
+        if deviation is not None:
+            yield Knob(key, label, "Noise", deviation, unit, **limits)
         for k, column in enumerate(columns):
-            yield Knob(f"offset.{place}.{k}", column, "Offsets", 0.0, unit, -offset, offset)
-    if SIGNALS[kind][2]:
-        most, label = SIGNALS[kind][2], "dead time of the inverter"
+            key, most = f"offset.{place}.{k}", about.offset
+            yield Knob(key, column, "Offsets", 0.0, unit, -most, most)
+    if explored.dead_time:
+        most, label = explored.dead_time, "dead time of the inverter"
         yield Knob("dead_time.voltage", label, "Inverter", 0.0, "V", 0.0, most)
 
 
-def noise_of(content: Mapping[str, Any], place: str) -> float:
-    """The deviation of the white noise of a signal, zero where it has none, or several."""
+def noise_of(content: Mapping[str, Any], place: str) -> float | None:
+    """The deviation of the white noise of a signal; nothing where it has another for each
+    entry."""
     for table in content.get(place, ()):
         if table["kind"] == "noise" and not isinstance(table["deviation"], list):
             return float(table["deviation"])
-    return 0.0
+    return None
 
 
 def _errors(machine: Mapping[str, Any], kind: str) -> Iterator[Knob]:
@@ -237,13 +173,14 @@ def _errors(machine: Mapping[str, Any], kind: str) -> Iterator[Knob]:
     study = studies()[kind]
     for key in study.machine.model_fields:
         value = machine.get(key)
-        if isinstance(value, int) or key in ("kind", "inertia") or not _nonzero(value):
+        if isinstance(value, int) or key in ("kind", "inertia") or not nonzero(value):
             continue
         label = key.replace("_", " ")
         yield Knob(f"error.{key}", label, "Parameter errors", 0.0, "1", -ERRORS, ERRORS)
 
 
-def _nonzero(value: Any) -> bool:
+def nonzero(value: Any) -> bool:
+    """Whether it is a real number, or some of several, and not zero."""
     if isinstance(value, list | tuple):
         return any(isinstance(x, float) and x for x in value)
     return isinstance(value, float) and value != 0.0

@@ -163,10 +163,11 @@ def words(seed: int, count: int) -> np.ndarray:
 
 
 def band_lanes(
-    layout: Layout, tolerances: Spread, seed: int, tolerance: float
+    layout: Layout, tolerances: Spread, seed: int, tolerance: float, idle: bool
 ) -> list[np.ndarray]:
     """The numbers of `RUNS` runs: of the plant's parameters those of the study's relative
-    `tolerances`, times `tolerance`, and noise of their own."""
+    `tolerances`, times `tolerance`, and noise of their own. `idle`: whether a motor with a
+    magnet starts without current."""
     leaves = [
         np.repeat(np.asarray(leaf)[None], RUNS, axis=0) if is_number(leaf) else leaf
         for leaf in layout.leaves
@@ -176,7 +177,7 @@ def band_lanes(
         for leaf, entry in layout.places(where):
             part = (slice(None), *entry)
             leaves[leaf][part] *= factors.reshape(-1, *[1] * (leaves[leaf][part].ndim - 1))
-            if layout.paths[leaf] == "plant.magnet_flux":  # starts without current
+            if idle and layout.paths[leaf] == "plant.magnet_flux":
                 for start, _ in layout.places("initial.flux"):
                     leaves[start] *= factors[:, None]
     keys = words(seed, RUNS + 1)[1:]

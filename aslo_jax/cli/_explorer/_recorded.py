@@ -25,6 +25,7 @@ from .. import _table as table
 from . import _knobs as knobs
 from ._knobs import SPAN, STARTS, Knob
 from ._panels import Result, band_of
+from ._possible import refuse_impossible, times
 from ._programs import POINTS, RUNS, drawn
 from ._state import State, StateError
 
@@ -105,8 +106,7 @@ class Recorded:
         yield from self._of_log()
         for each in type(self.machine.machine).model_fields:
             value = getattr(self.machine.machine, each)
-            numeric = isinstance(value, float | list)
-            if numeric and each != "inertia" and np.any(np.asarray(value) != 0):
+            if each != "inertia" and knobs.nonzero(value):
                 label, group = each.replace("_", " "), "Parameter errors"
                 limits = {"low": -knobs.ERRORS, "high": knobs.ERRORS}
                 yield Knob(f"error.{each}", label, group, 0.0, "1", **limits)
@@ -154,11 +154,15 @@ class Recorded:
             owner, _, last = key.rpartition(".")
             if owner == f"observers.{name}":
                 keys[last] = value
-        errors = {k: v for k, v in values.items() if k.startswith("error.") and v}
+        errors = {
+            key.removeprefix("error."): float(value)
+            for key, value in values.items()
+            if key.startswith("error.") and value
+        }
+        if errors:
+            refuse_impossible(machine.machine.model_dump(), errors)
         parameters = {
-            key.removeprefix("error."): _times(
-                getattr(machine.machine, key.removeprefix("error.")), 1.0 + float(error)
-            )
+            key: times(getattr(machine.machine, key), 1.0 + error)
             for key, error in errors.items()
         }
         return _with(machine, keys, parameters)
@@ -194,13 +198,16 @@ class Recorded:
         none."""
         _, log = self.moved(state)
         if log.t.size > BANDS:
-            return {"t": "", "bands": {}}
+            note = f"no band: the log has more than {BANDS:,} rows"
+            return {"t": "", "bands": {}, "note": note}
         every = max(1, log.t.size // POINTS)
         found: dict[str, np.ndarray] = {}
         for name in self.chosen(state):
             machine = self.described(state, name)
             rates = machine.rates_of(None)
             draws = drawn(self.tolerances, state.seed)
+            given = machine.machine.model_dump()
+            refuse_impossible(given, {}, draws, state.tolerance)
             many = [
                 _spread(machine, draws, state.tolerance, k).state_observer(rates)
                 for k in range(RUNS)
@@ -262,10 +269,6 @@ def _with(
     )
 
 
-def _times(value: Any, factor: float) -> Any:
-    return [factor * x for x in value] if isinstance(value, list) else factor * value
-
-
 def _estimated(
     machine: AbstractDescription, log: Log, suspect: Rows, substeps: int
 ) -> Columns:
@@ -313,7 +316,7 @@ def _spread(
     for where, values in draws:
         key = where.removeprefix("plant.")
         factor = 1.0 + tolerance * (float(values[run]) - 1.0)
-        new[key] = _times(getattr(machine.machine, key), factor)
+        new[key] = times(getattr(machine.machine, key), factor)
     return machine.model_copy(update={"machine": machine.machine.model_copy(update=new)})
 
 

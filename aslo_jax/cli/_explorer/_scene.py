@@ -8,21 +8,15 @@ import tomllib
 from collections.abc import Mapping
 from typing import Any
 
-from ..._studies import ready_made
+from ..._studies import NAMES, ready_made
+from ...machines import KINDS, studies
+from ...machines._study import Explored
 from ...study import Spread
 from ...study._config import ConfigurationError, configure
 from . import _knobs as knobs
 from ._knobs import Knob
 from ._state import State, StateError
 
-# What can be chosen, by name, and the name that a person reads.
-READY = {
-    "pmsm": "PMSM under speed control",
-    "wrim": "Wound-rotor induction machine",
-    "magnetic_bearing": "Magnetic bearing",
-    "robotic_leg": "Extensible leg",
-    "ball_beam": "Ball on a beam",
-}
 PRINTED = "{}, printed start"
 STEPS = (500, 1000, 2000, 5000, 10_000)  # of a run, to choose from
 USUAL = 2000
@@ -36,12 +30,15 @@ class Scene:
     """A source that is simulated.
 
     - `title`: what it is; `content`: that of its study, every key of it that is moved
-      there; `observers`: the names of those that are shown at first.
+      there; `observers`: the names of those that are shown at first;
+    - `idle`: whether a motor with a magnet starts without current, its flux that of the
+      magnet, where the study does not say otherwise.
     """
 
     title: str
     content: Mapping[str, Any]
     observers: tuple[str, ...]
+    idle: bool
 
     @functools.cached_property
     def tolerances(self) -> Spread:
@@ -73,7 +70,10 @@ class Scene:
 
     def knobs(self, state: State) -> list[Knob]:
         """Those of the observers of a `state`."""
-        return knobs.of_content(self.content, self.chosen(state))
+        found = knobs.of_content(self.content, self.chosen(state))
+        if self.idle or not explored_of(self.kind).magnet:
+            return found
+        return [knob for knob in found if knob.key != "machine.initial.angle"]
 
     def steps(self, state: State) -> int:
         """How many intervals a run has.
@@ -116,7 +116,8 @@ class Scene:
                 new["actuator"][-1]["voltage"] = float(value)
             elif key != knobs.LOOP:
                 _set(new, key, value)
-        _magnet_at(new["machine"], errors)
+        if self.idle:
+            _magnet_at(new["machine"], errors)
         return Moved(new, errors, self.steps(state))
 
 
@@ -130,55 +131,74 @@ class Moved:
     steps: int
 
 
+def explored_of(kind: str) -> Explored:
+    """How experiments of a kind of machine are moved by hand.
+
+    **Raises:** [`ConfigurationError`][] for a kind that is not."""
+    offered = {n: each.explored for n, each in studies().items()}
+    found = offered.get(kind)
+    if found is None:
+        names = ", ".join(n for n, each in offered.items() if each is not None)
+        raise ConfigurationError(
+            f'`machine.kind` must be one of {names} to be explored, but is "{kind}".'
+        )
+    return found
+
+
+def names() -> list[str]:
+    """Those of the scenes that are ready made, each that of its kind of machine."""
+    return [n for n in NAMES if n in studies() and studies()[n].explored is not None]
+
+
 @functools.lru_cache(maxsize=8)
 def ready(name: str) -> Scene:
     """The ready-made scene of that name.
 
     **Raises:** [`StateError`][].
     """
-    if name not in READY:
-        raise StateError(f"`source` must be one of {', '.join(READY)}, but is {name!r}.")
-    return scene_of(tomllib.loads(ready_made(name)), READY[name])
+    if name not in names():
+        raise StateError(f"`source` must be one of {', '.join(names())}, but is {name!r}.")
+    return scene_of(tomllib.loads(ready_made(name)), KINDS[name].title)
 
 
 def scene_of(content: Mapping[str, Any], title: str | None = None) -> Scene:
-    """The scene of a study's `content`, checked as a whole.
+    """The scene of a study's `content`, checked as a whole unless it is ready made and has
+    a `title`.
 
     **Raises:** [`ConfigurationError`][] for a content that is not right, or of a kind of
-    machine that has no logs.
+    machine that is not explored.
     """
     new = copy.deepcopy(dict(content))
     kind = new["machine"]["kind"]
-    if kind not in READY:
-        raise ConfigurationError(
-            f"`machine.kind` must be one of {', '.join(READY)} to be explored, but is "
-            f'"{kind}".'
-        )
+    explored, takes_start = explored_of(kind), "start" in knobs.observer_fields(kind)
     observers = dict(new["observers"])
     first = tuple(observers)[:SHOWN]
     for name, table in list(observers.items()):
-        takes_start = table["kind"] == "aslo" and kind != "magnetic_bearing"
-        if takes_start and table.get("start", "exact") == "exact":
+        exact = table["kind"] == "aslo" and table.get("start", "exact") == "exact"
+        if takes_start and exact:
             other = PRINTED.format(name)
             observers.setdefault(other, dict(table) | {"start": "paper"})
             if title is not None and name == first[0]:
                 first = (name, other)
     new["observers"] = observers
-    of = knobs.KINDS[kind].layout.signals
-    pairs = (("sensor", of.outputs), ("input_sensor", of.inputs))
-    for place, columns in pairs:
+    of = KINDS[kind].layout.signals
+    for place, columns in (("sensor", of.outputs), ("input_sensor", of.inputs)):
         _in_a_chain(new, place)
         parts = [dict(part) for part in new.get(place, ())]
         if not any(part["kind"] == "noise" for part in parts):
             parts.append({"kind": "noise", "deviation": 0.0})
         new[place] = [*parts, {"kind": "bias", "offset": [0.0] * len(columns)}]
-    if knobs.SIGNALS[kind][2]:
+    if explored.dead_time:
         _in_a_chain(new, "actuator")
         new["actuator"] = [*map(dict, new.get("actuator", ())), dict(DEAD_TIME)]
-    _complete(new, ready_made=title is not None)
-    if title is None:  # those that are ready made are right
-        title = configure(new).title
-    return Scene(title, new, first)
+    idle = explored.magnet and not (new["machine"].get("initial") or {}).get("flux")
+    _complete(new, explored)
+    if title is not None:  # what is ready made is right
+        for key, value in explored.usual.items():
+            _set(new, key, value)
+    if idle:
+        _magnet_at(new["machine"], {})
+    return Scene(configure(new).title if title is None else title, new, first, idle)
 
 
 def _in_a_chain(content: dict[str, Any], place: str) -> None:
@@ -193,29 +213,26 @@ def _in_a_chain(content: dict[str, Any], place: str) -> None:
         item["where"] = [renamed(w) for w in where] if several else renamed(where)
 
 
-def _complete(content: dict[str, Any], *, ready_made: bool) -> None:
-    """Say what a file leaves to defaults, and knobs move. A ready-made motor turns from the
-    start, without a load that would stall it: at standstill nothing shows its flux."""
+def _complete(content: dict[str, Any], explored: Explored) -> None:
+    """Say what a file leaves to defaults, and knobs move."""
     machine = content["machine"]
-    initial = {k: v for k, v in (machine.get("initial") or {}).items() if v is not None}
-    if machine["kind"] in ("pmsm", "wrim"):
-        speed = knobs.at(content, "control.reference.offset") if ready_made else None
-        initial = {"speed": speed or 0.0, "angle": 0.0} | initial
-        load = dict(machine.get("load") or {})
-        free = ready_made and machine["kind"] == "pmsm"
-        machine["load"] = load | {"offset": 0.0} if free else {"offset": 0.0} | load
-    if machine["kind"] == "magnetic_bearing":
-        initial = {"position": 0.0} | initial
-    machine["initial"] = initial
-    _magnet_at(machine, {})
+    given = {k: v for k, v in (machine.get("initial") or {}).items() if v is not None}
+    machine["initial"] = dict(explored.initial) | given
+    for each in explored.run:
+        table, *names, last = each.key.split(".")
+        if table == "machine" and knobs.at(content, each.key) is None:
+            inner = machine
+            for name in names:
+                inner[name] = dict(inner.get(name) or {})
+                inner = inner[name]
+            inner[last] = 0.0
 
 
 def _magnet_at(machine: dict[str, Any], errors: Mapping[str, float]) -> None:
     """A motor with a magnet starts without current, whatever its angle."""
-    if machine["kind"] == "pmsm":
-        turned = machine["pole_pairs"] * machine["initial"]["angle"]
-        flux = machine["magnet_flux"] * (1.0 + errors.get("magnet_flux", 0.0))
-        machine["initial"]["flux"] = [flux * math.cos(turned), flux * math.sin(turned)]
+    turned = machine["pole_pairs"] * machine["initial"]["angle"]
+    flux = machine["magnet_flux"] * (1.0 + errors.get("magnet_flux", 0.0))
+    machine["initial"]["flux"] = [flux * math.cos(turned), flux * math.sin(turned)]
 
 
 def _set_noise(parts: list[dict[str, Any]], deviation: float) -> None:

@@ -27,6 +27,7 @@ PAGE = {
     "/controls.js": ("controls.js", SCRIPT),
     "/plot.js": ("plot.js", SCRIPT),
     "/axes.js": ("axes.js", SCRIPT),
+    "/figures.js": ("figures.js", SCRIPT),
     "/vector.js": ("vector.js", SCRIPT),
     "/save.js": ("save.js", SCRIPT),
     "/results.js": ("results.js", SCRIPT),

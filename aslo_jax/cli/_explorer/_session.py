@@ -5,10 +5,11 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from ...machines import KINDS
 from ._newest import Newest
 from ._panels import number
 from ._programs import Programs
-from ._scene import READY, ready
+from ._scene import names, ready
 from ._simulated import Simulated
 from ._state import State, StateError
 
@@ -62,7 +63,7 @@ class Session:
 
     def about(self, state: State) -> dict[str, Any]:
         """What the page needs to show its controls: sources, observers, knobs."""
-        sources = [{"id": name, "title": title} for name, title in READY.items()]
+        sources = [{"id": name, "title": KINDS[name].title} for name in names()]
         if self.results is not None:
             title = self.results.title
             sources.insert(0, {"id": "results", "title": f"Results: {title}"})
@@ -78,6 +79,7 @@ class Session:
                 "observers": [],
                 "knobs": [],
                 "horizons": [],
+                "horizon": None,
                 "exports": [],
             }
         source = self.source(state)
@@ -210,7 +212,7 @@ class Session:
             "toml": lambda: _text(
                 exports.MACHINE,
                 "application/toml",
-                exports.machine_text(machine, substeps, about),
+                exports.machine_text(machine, options, about),
             ),
             "python": lambda: _text(
                 "explored.py",
@@ -226,12 +228,12 @@ class Session:
         if what not in makers:
             raise StateError(f"There is no export {what[:20]!r}.")
         machine = source.described(state, name)
-        substeps, interval = 1, 0.0
-        if not isinstance(source, Simulated):
-            substeps = source.substeps(machine)
-            interval = float(source.reader.interval)
+        if isinstance(source, Simulated):
+            substeps, interval = 1, float(source.scene.content["interval"])
+            options = "--substeps 1 --outliers keep"  # what is simulated is right
         else:
-            interval = source.scene.content["interval"]
+            substeps, interval = source.substeps(machine), float(source.reader.interval)
+            options = f"--substeps {substeps}"
         return makers[what]()
 
 

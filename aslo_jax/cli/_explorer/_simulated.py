@@ -12,9 +12,13 @@ from .._table import Estimator
 from . import _programs as programs
 from ._knobs import LOOP
 from ._panels import Result, band_of
+from ._possible import refuse_impossible
 from ._programs import Programs
 from ._scene import Moved, Scene
 from ._state import State, StateError
+
+PLAIN = ("aslo", "a-aslo")  # told from each other by a gain
+ALWAYS = {"velocity_cutoff": 200.0, "completion": "least-squares", "start": "exact"}
 
 
 class _Estimate(NamedTuple):
@@ -36,6 +40,7 @@ class Simulated:
     def result(self, state: State) -> Result:
         """One run: plant, controller, disturbances, and the observers that are shown."""
         moved = self.scene.moved(state)
+        refuse_impossible(moved.content["machine"], moved.errors)
         layout = programs.layout_of(moved, state.seed)
         lanes = [x[None] for x in programs.numbers(layout)]
         every = programs.Everything()
@@ -52,8 +57,11 @@ class Simulated:
         """The errors of many runs that differ in parameters and noise."""
         moved = self.scene.moved(state)
         layout = programs.layout_of(moved, state.seed)
+        tolerances = self.scene.tolerances
+        draws = programs.drawn(tolerances, state.seed)
+        refuse_impossible(moved.content["machine"], moved.errors, draws, state.tolerance)
         lanes = programs.band_lanes(
-            layout, self.scene.tolerances, state.seed, state.tolerance
+            layout, tolerances, state.seed, state.tolerance, self.scene.idle
         )
         every = _divisor(moved.steps, max(1, moved.steps // programs.POINTS))
         scale = self._scale()
@@ -73,32 +81,23 @@ class Simulated:
         if name not in moved.content["observers"]:
             raise StateError(f"There is no observer {name[:60]!r} here.")
         base = machine_of(moved.content)
-        keys = dict(moved.content["observers"][name])
-        kind = keys.pop("kind")
-        known = type(base.observer).model_fields
-        kinds = ("aslo", "a-aslo", "lifted_kalman", "adaptive")
-        options = getattr(known.get("kind"), "annotation", None)
-        if kind in kinds[2:]:
+        given = dict(moved.content["observers"][name])
+        kind, known = given.pop("kind"), type(base.observer).model_fields
+        keys = {k: v for k, v in given.items() if v is not None}
+        # What a description does not know may stand at what it always does.
+        keys = {k: v for k, v in keys.items() if k in known or v != ALWAYS.get(k)}
+        if kind not in PLAIN:
             keys["kind"] = kind
-        defaults = {"velocity_cutoff": 200.0, "completion": "least-squares"}
-        keys = {
-            k: v
-            for k, v in keys.items()
-            if v is not None
-            and (k in known or v != defaults.get(k))
-            and not (k == "start" and v == "exact" and k not in known)
-        }
-        refused = [k for k in keys if k not in known]
-        allowed = kind in kinds[:2] or kind in getattr(options, "__args__", ())
-        if not allowed or refused:
-            why = f"`{refused[0]}`" if allowed else f'an observer of the kind "{kind}"'
+        kinds = getattr(known.get("kind"), "annotation", None)
+        said = kind in PLAIN or kind in getattr(kinds, "__args__", ())
+        unknown = [key for key in keys if key not in known]
+        if not said or unknown:
+            what = f"`{unknown[0]}`" if said else f'an observer of the kind "{kind}"'
             raise StateError(
-                f'A machine description of the kind "{base.kind}" cannot say {why}, as '
+                f'A machine description of the kind "{base.kind}" cannot say {what}, as '
                 f"{name} has it; export the study instead, which can."
             )
-        if LOOP in state.values:
-            keys["pll_bandwidth"] = state.values[LOOP]
-        elif "pll_bandwidth" in known:
+        if "pll_bandwidth" in known:
             keys["pll_bandwidth"] = float(_loop(self.scene, state))
         content = {"machine": base.machine.model_dump(), "observer": keys}
         try:

@@ -68,8 +68,8 @@ export function usual(arrays, truth) {
   return [Math.min(least, Math.max(low, least - room)), Math.max(most, Math.min(high, most + room))];
 }
 
-// The range of what is drawn; of logarithms that of what is above a thousandth of a percent
-// of the largest value.
+// The range of what is drawn; of logarithms that of what is above a millionth of the largest
+// value.
 export function range(arrays, log) {
   let low = Infinity, high = -Infinity;
   for (const values of arrays) {
@@ -80,6 +80,6 @@ export function range(arrays, log) {
     }
   }
   if (low > high) return log ? [0.1, 1] : [0, 1];
-  if (log) low = Math.max(low, high * 1e-5);
+  if (log) low = Math.max(low, high * 1e-6);
   return [low, high];
 }

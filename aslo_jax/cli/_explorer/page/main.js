@@ -2,7 +2,8 @@
 
 import { shown } from "./axes.js";
 import { build, made, swatch } from "./controls.js";
-import { DASHES, described, draw, nearest, prepared, readout, theme, unpacked } from "./plot.js";
+import { digest, figures, paint, paintAll, placed } from "./figures.js";
+import { DASHES, prepared, theme, unpacked } from "./plot.js";
 import { controls as resultControls, table as resultTable } from "./results.js";
 import { exportButtons } from "./save.js";
 import { pruned, read, written } from "./state.js";
@@ -17,10 +18,7 @@ let state = read(location.search);
 let about = null;
 let number = 0; // of the newest request
 let run = null, band = null;
-let cursor = null;
-let changed = 0; // when the newest change was made
 let looks = new Map(); // colour and dashes of every observer
-const figures = new Map();
 
 async function get(what, query, more = "") {
   const answer = await fetch(`/api/${what}?${query}${more}`, { cache: "no-store" });
@@ -71,7 +69,6 @@ let bandTimer = 0, addressTimer = 0, aloudTimer = 0;
 
 function request(settled = true) {
   number += 1;
-  changed = performance.now();
   document.body.dataset.busy = "true";
   pumpRun();
   clearTimeout(bandTimer);
@@ -212,14 +209,9 @@ function redraw() {
   if (!run) return;
   const t = run.t ? unpacked(run.t) : null;
   const ranges = bands();
-  const kept = new Set(run.panels.map((panel) => panel.id));
-  for (const [id, figure] of figures) if (!kept.has(id)) { figure.root.remove(); figures.delete(id); }
-  for (const [k, panel] of run.panels.entries()) {
-    if (!figures.has(panel.id)) figures.set(panel.id, figureOf(panel.id));
-    const figure = figures.get(panel.id);
-    if ($("panels").children[k] !== figure.root) $("panels").insertBefore(figure.root, $("panels").children[k] ?? null);
-    figure.root.classList.toggle("first", k === 0);
-    figure.panel = prepared(panel, t, ranges);
+  const shownNow = placed($("panels"), run.panels, { style, say: (text) => { $("announce").textContent = text; } });
+  for (const [k, figure] of shownNow.entries()) {
+    figure.panel = prepared(run.panels[k], t, ranges);
     paint(figure);
   }
   if (run.t) summary(); else resultTable($("summary"), run, style, openSample);
@@ -227,85 +219,8 @@ function redraw() {
   if (!run.t) resultControls($("results"), run, { against, openSample });
   const body = document.body.dataset;
   body.drawn = String(run.n);
-  body.traced = String(run.traced ?? 0);
+  body.traced = String(Math.max(run.traced ?? 0, band?.traced ?? 0));
   body.digest = digest(run.panels);
-  body.latency = (performance.now() - changed).toFixed(1);
-  body.first ??= performance.now().toFixed(1);
-}
-
-// A number that tells two drawings apart.
-function digest(panels) {
-  let hash = 0;
-  for (const panel of panels) for (const line of panel.lines) {
-    for (let k = 0; k < line.values.length; k += 7) hash = (hash * 31 + line.values.charCodeAt(k)) | 0;
-  }
-  return String(hash);
-}
-
-function figureOf(id) {
-  const caption = made("span"), told = made("span", { class: "told", "aria-hidden": "true" });
-  const canvas = made("canvas", { tabindex: "0", role: "img", "data-panel": id });
-  const root = made("figure", {}, made("figcaption", {}, caption, told), canvas);
-  const figure = { root, caption, told, canvas, panel: null, area: null };
-  canvas.addEventListener("pointermove", (event) => {
-    const x = (event.offsetX - figure.area.left) / figure.area.width;
-    const { low, high } = figure.panel.x;
-    setCursor(x < 0 || x > 1 ? null : low + x * (high - low), figure);
-  });
-  canvas.addEventListener("pointerleave", () => setCursor(null, figure));
-  canvas.addEventListener("keydown", (event) => {
-    const step = { ArrowLeft: -1, ArrowRight: 1, PageDown: -20, PageUp: 20 }[event.key];
-    const line = figure.panel.lines[0];
-    if (event.key === "Escape") return setCursor(null, figure);
-    if ((step === undefined && event.key !== "Home" && event.key !== "End") || !line) return;
-    event.preventDefault();
-    const x = line.x, last = x.length - 1;
-    const here = cursor === null ? 0 : nearest(x, cursor);
-    const next = event.key === "Home" ? 0 : event.key === "End" ? last : here + step * Math.max(1, Math.round(last / 200));
-    setCursor(x[Math.min(last, Math.max(0, next))], figure);
-    $("announce").textContent = `${shown(cursor)}: ${readout(figure.panel, cursor)}`;
-  });
-  return figure;
-}
-
-function setCursor(at, owner) {
-  cursor = at;
-  const shared = owner.panel.about === undefined;
-  for (const figure of figures.values()) {
-    if (shared || figure === owner) paint(figure);
-  }
-}
-
-function paint(figure) {
-  const { canvas, panel } = figure;
-  const ratio = window.devicePixelRatio || 1;
-  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
-  if (!width || !panel) return;
-  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-  }
-  const context = canvas.getContext("2d");
-  context.setTransform(ratio, 0, 0, ratio, 0, 0);
-  context.clearRect(0, 0, width, height);
-  figure.area = draw(context, panel, width, height, theme(), style, cursor);
-  const unit = panel.unit && panel.unit !== "1" ? ` (${panel.unit})` : "";
-  figure.caption.textContent = `${panel.title}${unit}${bandText(panel)}`;
-  figure.told.textContent = cursor === null ? "" : `at ${shown(cursor)}:  ${readout(panel, cursor)}`;
-  canvas.setAttribute("aria-label", described(panel));
-}
-
-// Whether a line leaves the axes, as the transient of a start does.
-function clipped(panel) {
-  if (panel.log) return "";
-  const out = (x) => x < panel.y.low || x > panel.y.high;
-  return panel.lines.some((line) => line.values.some(out)) ? ", clipped" : "";
-}
-
-function bandText(panel) {
-  if (!panel.bands) return clipped(panel);
-  const [first] = Object.values(panel.bands.of);
-  return first ? `, with the 5 to 95 % of ${first.runs} runs` : "";
 }
 
 function summary() {
@@ -332,6 +247,7 @@ function say() {
   const parts = [];
   if (run.seconds !== undefined) parts.push(`run ${shown(1000 * run.seconds)} ms`);
   if (band?.t && band.n === run.n) parts.push(`band ${shown(1000 * band.seconds)} ms`);
+  else if (band?.note) parts.push(band.note);
   else if (run.t && state.source !== "results") parts.push("band: computing (the first takes a few seconds to compile)");
   parts.push(...(run.notes ?? []));
   $("status").textContent = parts.join("  ·  ");
@@ -366,7 +282,7 @@ async function openSample(index) {
 
 // All panels for a picture, each with its size.
 function sheet() {
-  return { panels: [...$("panels").children].map((root) => [...figures.values()].find((f) => f.root === root).panel), style, query: written(state) };
+  return { panels: run.panels.map((panel) => figures.get(panel.id).panel), style, query: written(state) };
 }
 
 $("source").addEventListener("change", () => {
@@ -399,7 +315,7 @@ $("link").addEventListener("click", async () => {
 });
 $("controls").addEventListener("submit", (event) => event.preventDefault());
 window.addEventListener("popstate", () => { state = read(location.search); load(); });
-new ResizeObserver(() => figures.forEach(paint)).observe($("panels"));
+new ResizeObserver(paintAll).observe($("panels"));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
   if (about) observerBoxes();
   redraw();

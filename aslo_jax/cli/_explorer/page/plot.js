@@ -225,3 +225,22 @@ export function described(panel) {
   const unit = panel.unit && panel.unit !== "1" ? ` in ${panel.unit}` : "";
   return `${panel.title}${unit}, ${parts.join("; ")}. Arrow keys move a cursor.`;
 }
+
+// What stands above a panel.
+export function titleOf(panel) {
+  const unit = panel.unit && panel.unit !== "1" ? ` (${panel.unit})` : "";
+  return `${panel.title}${unit}${bandText(panel)}`;
+}
+
+// Whether a line leaves the axes, as the transient of a start does.
+function clipped(panel) {
+  if (panel.log) return "";
+  const out = (x) => x < panel.y.low || x > panel.y.high;
+  return panel.lines.some((line) => line.values.some(out)) ? ", clipped" : "";
+}
+
+function bandText(panel) {
+  if (!panel.bands) return clipped(panel);
+  const [first] = Object.values(panel.bands.of);
+  return first ? `, with the 5 to 95 % of ${first.runs} runs` : "";
+}

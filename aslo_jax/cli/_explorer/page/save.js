@@ -1,7 +1,7 @@
 // What can be saved: files of the server, and pictures drawn here.
 
 import { made } from "./controls.js";
-import { draw, theme } from "./plot.js";
+import { draw, theme, titleOf } from "./plot.js";
 import { VectorContext } from "./vector.js";
 
 const NAMES = {
@@ -89,8 +89,7 @@ function sheet(context, page) {
     context.font = '600 12px "DejaVu Sans", sans-serif';
     context.textAlign = "left";
     context.textBaseline = "alphabetic";
-    const unit = panel.unit && panel.unit !== "1" ? ` (${panel.unit})` : "";
-    context.fillText(`${panel.title}${unit}`, 10, 18);
+    context.fillText(titleOf(panel), 10, 18);
     context.translate(0, HEAD);
     draw(context, panel, WIDTH, HEIGHT, colours, style, null);
     context.restore();

@@ -1,7 +1,5 @@
 // The state of the page, which is that of its address.
 
-const PLAIN = ["source", "observer", "horizon", "seed", "tolerance"];
-
 export function read(query) {
   const given = new URLSearchParams(query);
   const values = {};
@@ -35,8 +33,6 @@ export function pruned(state, knobs) {
   const kept = Object.entries(state.values).filter(([key]) => known.has(key));
   return { ...state, values: Object.fromEntries(kept) };
 }
-
-export const isPlain = (key) => PLAIN.includes(key);
 
 function numeric(text) {
   const number = Number(text);
