@@ -64,7 +64,8 @@ class AdaptiveVelocities(AbstractObserver[AdaptiveEstimate]):
     The estimate is an [`AdaptiveEstimate`][], its parameters one after the other, entry by
     entry, in their own units. It is `held` while the record has told nothing of one of
     them: while that is not known to 90 % of its first deviation. It is flagged as coasting
-    while one is found 5 of its deviations away, which is no solution.
+    while one is found 5 of its deviations away, which is no solution, and as
+    [`LiftedVelocities`][] is.
 
     Velocities are measured, whatever the parameters are, so that each step is linear in
     these but for products with the small errors of the velocities. So there is no bank, and
@@ -141,7 +142,7 @@ class AdaptiveVelocities(AbstractObserver[AdaptiveEstimate]):
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> AdaptiveEstimate:
         n, law = y.shape[0], self.law(u, y)
-        value, certificate, pending, P, belief = judged(F, law, u, y)
+        value, certificate, flagged, P, belief = judged(F, law, u, y)
         U = unpacked(belief.factors)[2 * n :]
         found, Q = belief.mean[2 * n :], covariance(U, belief.factors.pivots)
         first = law.deviations.parameters
@@ -150,7 +151,7 @@ class AdaptiveVelocities(AbstractObserver[AdaptiveEstimate]):
         return AdaptiveEstimate(
             value,
             certificate,
-            pending | improbable | unknown(self.guard, certificate),
+            flagged | improbable | unknown(self.guard, certificate),
             P,
             parameters=found,
             parameter_covariance=Q,
