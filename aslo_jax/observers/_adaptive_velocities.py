@@ -29,7 +29,7 @@ from ._lifted_velocities import (
     whole,
 )
 from ._mechanical_filter import MechanicalKalman
-from ._motion import PUSH, Motion
+from ._motion import PUSH, Motion, leaf_of
 
 HELD = 0.9  # of the first deviation of a parameter: nothing has been found of it
 
@@ -53,7 +53,7 @@ class AdaptiveVelocities(AbstractObserver[AdaptiveEstimate]):
       shape `()` or `(n,)`, `input_deviation` (N, N m), shape `()` or `(m,)`, and `initial`
       (m/s, rad/s), shape `(n,)`;
     - `parameters`: the names of the leaves of the system that are not known, numbers or
-      arrays, such as `("m1", "damping")`. `"push"` is a constant force on every coordinate
+      arrays, such as `("m1", "damping")`, fields joined by dots. `"push"` is a constant force on every coordinate
       (N, N m), shape `(n,)`, which the system does not have: a load, or an offset of the
       input;
     - `deviations`: for each of them its standard deviation before the log, in its own unit,
@@ -102,7 +102,7 @@ class AdaptiveVelocities(AbstractObserver[AdaptiveEstimate]):
                 f"{names!r}."
             )
         for name in names:
-            leaf = 0.0 if name == PUSH else getattr(self.system, name, None)
+            leaf = 0.0 if name == PUSH else leaf_of(self.system, name)
             if type(leaf) is object:
                 return  # a placeholder of a tree transformation
             if not isinstance(leaf, jax.Array | float):

@@ -24,6 +24,7 @@ TRAINING, VALIDATION, STARTS = range(1, 9), range(5000, 5200), range(20_000, 22_
 FAST = 10.0  # the velocities of the starts, over those of the seeds
 ALONE = range(7000, 7020)  # for each of the wrong parameters, of who holds them
 BOUNDED = range(5000, 5016)
+FORCE = 1.0  # N, N m: of forces in every interval that the model does not know
 LOST = 0.5  # m/s and rad/s
 COVERED = {2: 5.991, 3: 7.815}  # of chi squared with so many degrees of freedom, 95 %
 PRIOR = [math.sqrt(sum(each[k] ** 2 for each in WRONG) / len(WRONG)) for k in (0, 1)]
@@ -32,7 +33,7 @@ PRIOR = [math.sqrt(sum(each[k] ** 2 for each in WRONG) / len(WRONG)) for k in (0
 def priors(name: str) -> dict[str, float]:
     """How well each leaf is known, relative."""
     *inertias, friction = mechanisms()[name].leaves
-    return {leaf: PRIOR[0] for leaf in inertias} | {friction: PRIOR[1]}
+    return dict.fromkeys(inertias, PRIOR[0]) | {friction: PRIOR[1]}
 
 
 def contenders(name: str, bits: int) -> dict[str, Contender]:
@@ -62,15 +63,18 @@ def contenders(name: str, bits: int) -> dict[str, Contender]:
     return {
         "ASLO": Contender(algebraic, rate),
         "A-ASLO": Contender(algebraic, rate | {"gain, rad/s": (0.1, 300.0)}),
-        "high gain": Contender(
-            lambda model, first, rate: aslo.HighGain(rate, model), rate
-        ),
+        "high gain": Contender(lambda model, first, rate: aslo.HighGain(rate, model), rate),
         "super-twisting": Contender(
             lambda model, first, bound: aslo.SuperTwisting(bound * jnp.ones(n)), bound
         ),
         "EKF": Contender(kalman, {"acceleration": (1e-16, 1e-2)}),
         "LiftedVelocities": Contender(
             lambda model, first: aslo.LiftedVelocities(model, deviation, INPUT),
+            {},
+            claims=True,
+        ),
+        "LiftedVelocities, forces": Contender(
+            lambda model, first: aslo.LiftedVelocities(model, deviation, INPUT, FORCE),
             {},
             claims=True,
         ),
@@ -89,13 +93,13 @@ def made(name: str, bits: int, make: Callable[..., Any], gains: int) -> Callable
     *inertias, friction = of.leaves
 
     def loop(sample: Any) -> Any:
-        off = {leaf: sample["wrong"][0] for leaf in inertias}
+        off: dict[str, Any] = dict.fromkeys(inertias, sample["wrong"][0])
         # Of two masses one is too heavy and the other too light.
-        off |= {leaf: -sample["wrong"][0] for leaf in inertias[1:]}
+        off |= dict.fromkeys(inertias[1:], -sample["wrong"][0])
         off[friction] = sample["wrong"][1]
         model = dataclasses.replace(of.system, angles=(False,) * len(of.lengths))
         for leaf, share in off.items():
-            at = lambda s, leaf=leaf: getattr(s, leaf)
+            at: Callable[[Any], Any] = lambda s, leaf=leaf: getattr(s, leaf)
             model = eqx.tree_at(at, model, (1.0 + share) * at(model))
         step = jnp.asarray(resolution(name, bits))
         first = jnp.round(sample["q"] / step) * step
@@ -128,13 +132,15 @@ def runner(name: str, bits: int, who: str) -> Any:
     metrics: dict[str, Any] = {
         "rms": RMSError("o", AFTER, norm=True),
         "diverged": Diverged("o", LOST, AFTER),
+        "flagged": Final(lambda record: record.estimates["o"].coasting),
     }
     if contender.claims:
         inside = lambda record: jnp.where(squared(record) < COVERED[n], 1.0, 0.0)
         metrics["normalised"] = Mean(lambda record: squared(record) / n, AFTER)
         metrics["covered"] = Mean(inside, AFTER)
     if contender.finds:
-        metrics["parameters"] = Final(lambda record: record.estimates["o"].parameters)
+        found: Callable[[Any], Any] = lambda record: record.estimates["o"].parameters
+        metrics["parameters"] = Final(found)
     one = samples(name, range(1), [[0.0] * max(gains, 1)])
     make = made(name, bits, contender.make, gains)
     return Runner(make, jax.tree.map(lambda x: x[0], one), STEPS, metrics=metrics)
@@ -188,7 +194,7 @@ def judged(name: str, bits: int, who: str, contender: Contender) -> dict[str, An
         "wrong": pooled(wrong["rms"]),
         "by error": [pooled(x) for x in wrong["rms"].reshape(len(WRONG), -1)],
         "runs": wrong["rms"].size,
-        "lost": int(wrong["diverged"].sum()),
+        "flagged": int(wrong["flagged"].sum()),
         "engine": runner(name, bits, who).engine,
     }
     for at, which in (("", exact), ("wrong ", wrong)) if contender.claims else ():

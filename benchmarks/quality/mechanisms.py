@@ -1,8 +1,8 @@
 """A leg and a ball on a beam, seen by encoders of two resolutions: the loops of one sample
 and the observers.
 
-Both follow references by controllers that know the true state, so that all observers see the
-same motion; 1 kHz, 4 s, of which the last three count.
+Both follow references by controllers that know the true state, so that all observers see
+the same motion; 1 kHz, 4 s, of which the last three count.
 """
 
 import functools
@@ -48,8 +48,9 @@ def mechanisms() -> dict[str, Mechanism]:
     from aslo_jax.control import BallBeamTracking, Tracking
     from aslo_jax.plants import BallBeam, RoboticLeg
 
-    leg = RoboticLeg(2.0, 3.0, [2.0, 0.5, 0.3])
-    beam = BallBeam(1.0, damping=[0.2, 0.4])
+    number = jnp.asarray
+    leg = RoboticLeg(m1=number(2.0), m2=number(3.0), damping=number([2.0, 0.5, 0.3]))
+    beam = BallBeam(length=number(1.0), damping=number([0.2, 0.4]))
 
     def of_leg(phase):
         def reference(t):
@@ -64,13 +65,22 @@ def mechanisms() -> dict[str, Mechanism]:
 
     return {
         "leg": Mechanism(
-            *(leg, of_leg, (True, False, False)),
-            *((0.8, -0.5, -0.5), (1.2, 0.5, 0.5), (0.2, 0.5, 0.5)),
-            ("m1", "m2", "damping"),
+            leg,
+            of_leg,
+            lengths=(True, False, False),
+            low=(0.8, -0.5, -0.5),
+            high=(1.2, 0.5, 0.5),
+            speed=(0.2, 0.5, 0.5),
+            leaves=("m1", "m2", "damping"),
         ),
         "ball and beam": Mechanism(
-            *(beam, of_beam, (True, False), (-0.1, -0.1), (0.1, 0.1), (0.1, 0.1)),
-            ("length", "damping"),
+            beam,
+            of_beam,
+            lengths=(True, False),
+            low=(-0.1, -0.1),
+            high=(0.1, 0.1),
+            speed=(0.1, 0.1),
+            leaves=("length", "damping"),
         ),
     }
 
@@ -89,7 +99,11 @@ def resolution(name: str, bits: int) -> Any:
 
 
 def samples(
-    name: str, seeds: Any, gains: Any = ((0.0,),), wrong: Any = ((0.0, 0.0),), fast: Any = 1.0
+    name: str,
+    seeds: Any,
+    gains: Any = ((0.0,),),
+    wrong: Any = ((0.0, 0.0),),
+    fast: Any = 1.0,
 ) -> Any:
     """Every row of `gains`, shape `(trials, g)`, and every pair of `wrong` parameters, with
     every seed; the first velocities `fast` times those of the mechanism."""
