@@ -52,9 +52,9 @@ def updated(
     pivots: Float[Array, " N"],
     f: Float[Array, " N"],
     variance: Float[Array, ""],
-) -> tuple[Float[Array, "N N"], Float[Array, " N"], Float[Array, " N"]]:
-    """U, the pivots and the gain of a scalar measurement `h'X` with noise of `variance`,
-    from `f = U'h` (Bierman)."""
+) -> tuple[Float[Array, "N N"], Float[Array, " N"], Float[Array, " N"], Float[Array, ""]]:
+    """U, the pivots, the gain and the variance of the innovation of a scalar measurement
+    `h'X` with noise of `variance`, from `f = U'h` (Bierman)."""
     n = pivots.shape[0]
     columns, found = [], []
     gain, total = jnp.zeros(0, U.dtype), variance
@@ -65,7 +65,7 @@ def updated(
         column = above - gain * (f[j] / before)
         columns.append(jnp.concatenate([column, _one(j, n, U.dtype)]))
         gain = jnp.concatenate([gain + b * above, b[None]])
-    return jnp.stack(columns, axis=1), jnp.stack(found), gain / total
+    return jnp.stack(columns, axis=1), jnp.stack(found), gain / total, total
 
 
 def unit_inverse(U: Float[Array, "N N"]) -> Float[Array, "N N"]:

@@ -74,7 +74,7 @@ def plain(u, y, h, first, names=(), nominal=(), deviations=(), drift=()):
     k = len(nominal)
     x = np.concatenate([y[0], np.zeros(2), nominal])
     P = np.diag(np.concatenate([SY, [first] * 2, deviations]) ** 2)
-    found = [(x.copy(), P.copy())]
+    found, misfit = [(x.copy(), P.copy())], 0.0
     for i in range(1, len(u)):
         v, seen = u[i - 1], (y[i] - y[i - 1]) / h
         wide = h * h * np.diag(P)[2:4] > 2.0 * SY**2
@@ -91,12 +91,13 @@ def plain(u, y, h, first, names=(), nominal=(), deviations=(), drift=()):
         P = F @ P @ F.T + G @ np.diag(SU**2 + SF**2) @ G.T
         P[4:, 4:] += h * np.diag(np.asarray(drift) ** 2) if len(drift) else 0.0
         S = P[:2, :2] + np.diag(SY**2)
-        K = P[:, :2] @ np.linalg.inv(S)
-        x = x + K @ (y[i] - x[:2])
+        K, error = P[:, :2] @ np.linalg.inv(S), y[i] - x[:2]
+        misfit += (error @ np.linalg.solve(S, error) / 2 - misfit) / 100
+        x = x + K @ error
         P = P - K @ S @ K.T
         found.append((x.copy(), P.copy()))
     x, P = zip(*found, strict=True)
-    return np.array(x), np.array(P)
+    return np.array(x), np.array(P), misfit
 
 
 START = [0.5, 0.2, 0.4, -1.5]
@@ -121,13 +122,14 @@ def unknown():
 
 def test_it_equals_a_plain_kalman_filter(known):
     _, u, y, velocity = LOG
-    x, P = plain(u, y, H, 4.0)
-    found = known[0]
+    x, P, misfit = plain(u, y, H, 4.0)
+    found, state = known
     np.testing.assert_allclose(found.value, x[:, 2:], rtol=0, atol=1e-10)
     np.testing.assert_allclose(found.covariance, P[:, 2:, 2:], rtol=1e-7, atol=1e-15)
     np.testing.assert_allclose(
         found.certificate, 1 / (1 + np.max(np.diagonal(P, 0, 1, 2)[:, 2:], 1) / 16)
     )
+    np.testing.assert_allclose(state.states["belief"].misfit, misfit, rtol=1e-8)
     assert found.coasting[0] and not found.coasting[3:].any()
     assert np.abs(x[100:, 2:] - velocity[100:]).max() < 0.05
 
@@ -135,7 +137,7 @@ def test_it_equals_a_plain_kalman_filter(known):
 def test_with_unknown_parameters_it_equals_a_plain_kalman_filter(unknown):
     _, u, y, velocity = FORCED
     nominal, first, drift = [MASS, 0, 0], [0.1, 0.2, 0.3], [0.01, 0.02, 0.02]
-    x, P = plain(u, y, H, 4.0, ("mass", "push"), nominal, first, drift)
+    x, P, _ = plain(u, y, H, 4.0, ("mass", "push"), nominal, first, drift)
     found = unknown[0]
     np.testing.assert_allclose(found.value, x[:, 2:4], rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.parameters, x[:, 4:], rtol=0, atol=1e-9)
@@ -211,6 +213,21 @@ def test_wrapped_angles_are_unwrapped(known):
     assert np.abs(np.diff(wrapped[:, 1])).max() > 6.0
     one, other = (aslo.replay(KNOWN, t[:200], u[:200], q) for q in (turned, wrapped))
     np.testing.assert_allclose(one.value, other.value, atol=1e-9)
+
+
+def test_a_model_that_does_not_fit_is_told():
+    """With a mass that is wrong and no forces that the model does not know, the covariance
+    says that all is well; the innovations do not."""
+    t, u, y, velocity = LOG
+    wrong = CartOnArm(1.2 * MASS, INERTIA, GRAVITY, DAMPING)
+    found = {
+        name: aslo.replay(aslo.LiftedVelocities(system, SY, SU + SF, prior=4.0), t, u, y)
+        for name, system in {"right": CART, "wrong": wrong}.items()
+    }
+    error = np.abs(found["wrong"].value - velocity)[300:]
+    claimed = np.sqrt(np.diagonal(found["wrong"].covariance[300:], 0, 1, 2))
+    assert (error / claimed).max() > 10.0
+    assert found["wrong"].coasting[300:].all() and not found["right"].coasting[3:].any()
 
 
 def test_over_missing_samples_it_is_carried_along_and_says_so(known):

@@ -165,6 +165,36 @@ def test_the_adaptive_filter_of_a_motor():
         configure(whole | {"observers": {"A": wrong}}).experiment.observers["A"]
 
 
+def test_the_kalman_filters_of_a_mechanism():
+    noise = {"output_deviation": 1e-4, "input_deviation": [0.1, 0.2]}
+    known = noise | {"kind": "lifted_kalman", "prior": 2.0, "force_deviation": 0.5}
+    unknown = noise | {
+        "kind": "adaptive",
+        "parameters": ["m2", "push"],
+        "deviations": [0.3, 0.1],
+        "drift": 0.01,
+    }
+    whole = tomllib.loads((FOLDER / "robotic_leg.toml").read_text("utf-8"))
+    built = lambda table, whole=whole: configure(
+        whole | {"observers": {"A": table}}
+    ).experiment.observers["A"]
+    found = built(known)
+    assert float(found.system.m1) == 2.0 and float(found.prior) == 2.0
+    assert float(found.force_deviation) == 0.5 and float(found.guard.threshold) == 0.9
+    np.testing.assert_allclose(found.input_deviation, [0.1, 0.2])
+    found = built(unknown)
+    assert found.parameters == ("m2", "push") and len(found.drift) == 2
+    np.testing.assert_allclose(found.deviations, [0.3, 0.1])
+    motor = tomllib.loads((FOLDER / "pmsm.toml").read_text("utf-8"))
+    for wrong, of, message in (
+        (unknown | {"parameters": ["m2", "gap"]}, whole, "`gap` is none of RoboticLeg"),
+        (unknown | {"bank": 5}, whole, "`bank` has no effect"),
+        (known, motor, "`force_deviation` has no effect"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            built(wrong, of)
+
+
 def test_a_rate_that_follows_the_speed():
     rate = {"per_speed": 1.4, "low": 3.0, "high": 150.0}
     table = {"kind": "aslo", "cutoff": rate, "forgetting": {"per_speed": 0.2}}

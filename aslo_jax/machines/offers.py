@@ -18,6 +18,7 @@ from ..observers import (
     FO2,
     FO3,
     AbstractObserver,
+    AdaptiveVelocities,
     AlgebraicObserver,
     Asymptotic,
     ExtendedKalman,
@@ -25,6 +26,7 @@ from ..observers import (
     HighGain,
     Joined,
     Lifted,
+    LiftedVelocities,
     Luenberger,
     OpenLoopIntegrator,
     SuperTwisting,
@@ -123,6 +125,7 @@ def lifted(relations: Relations) -> dict[str, Build]:
 
     def build(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         del start
+        refuse_keys(keys, "force_deviation")
         deviations = keys.output_deviation, keys.input_deviation
         guard = Guard(keys.threshold)
         return _joined(
@@ -138,6 +141,7 @@ def adaptive(relations: Relations) -> dict[str, Build]:
 
     def build(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         del start
+        refuse_keys(keys, "force_deviation")
         (relation,) = relations(plant)
         return _lifted.adaptive(relation, keys)
 
@@ -202,6 +206,30 @@ def of_mechanism(*, threshold: float) -> dict[str, Build]:
             plant, process, keys.measurement, 1.0, initial=start.position
         )
 
+    def lifted(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        del start
+        return LiftedVelocities(
+            plant,
+            keys.output_deviation,
+            keys.input_deviation,
+            keys.force_deviation,
+            keys.prior,
+            guard=Guard(keys.threshold),
+        )
+
+    def adaptive(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        del start
+        refuse_keys(keys, "hold", "bank")
+        return AdaptiveVelocities(
+            plant,
+            keys.output_deviation,
+            keys.input_deviation,
+            keys.parameters,
+            keys.deviations,
+            [keys.drift] * len(keys.parameters) if keys.drift else None,
+            keys.force_deviation,
+        )
+
     def high_gain(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         del start
         gain = jnp.asarray(keys.bandwidth, float)
@@ -219,6 +247,8 @@ def of_mechanism(*, threshold: float) -> dict[str, Build]:
         "aslo": algebraic,
         "a-aslo": algebraic,
         "kalman": _unwrapping(kalman),
+        "lifted_kalman": lifted,
+        "adaptive": adaptive,
         "high_gain": _unwrapping(high_gain),
         "super_twisting": _unwrapping(super_twisting),
         "filtered_derivative": _unwrapping(derivative),

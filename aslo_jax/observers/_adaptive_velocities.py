@@ -29,7 +29,7 @@ from ._lifted_velocities import (
     whole,
 )
 from ._mechanical_filter import MechanicalKalman
-from ._motion import PUSH, Motion
+from ._motion import PUSH, Motion, leaf_of
 
 HELD = 0.9  # of the first deviation of a parameter: nothing has been found of it
 
@@ -53,7 +53,7 @@ class AdaptiveVelocities(AbstractObserver[AdaptiveEstimate]):
       shape `()` or `(n,)`, `input_deviation` (N, N m), shape `()` or `(m,)`, and `initial`
       (m/s, rad/s), shape `(n,)`;
     - `parameters`: the names of the leaves of the system that are not known, numbers or
-      arrays, such as `("m1", "damping")`. `"push"` is a constant force on every coordinate
+      arrays, such as `("m1", "damping")`, fields joined by dots. `"push"` is a constant force on every coordinate
       (N, N m), shape `(n,)`, which the system does not have: a load, or an offset of the
       input;
     - `deviations`: for each of them its standard deviation before the log, in its own unit,
@@ -64,7 +64,8 @@ class AdaptiveVelocities(AbstractObserver[AdaptiveEstimate]):
     The estimate is an [`AdaptiveEstimate`][], its parameters one after the other, entry by
     entry, in their own units. It is `held` while the record has told nothing of one of
     them: while that is not known to 90 % of its first deviation. It is flagged as coasting
-    while one is found 5 of its deviations away, which is no solution.
+    while one is found 5 of its deviations away, which is no solution, and as
+    [`LiftedVelocities`][] is.
 
     Velocities are measured, whatever the parameters are, so that each step is linear in
     these but for products with the small errors of the velocities. So there is no bank, and
@@ -101,7 +102,7 @@ class AdaptiveVelocities(AbstractObserver[AdaptiveEstimate]):
                 f"{names!r}."
             )
         for name in names:
-            leaf = 0.0 if name == PUSH else getattr(self.system, name, None)
+            leaf = 0.0 if name == PUSH else leaf_of(self.system, name)
             if type(leaf) is object:
                 return  # a placeholder of a tree transformation
             if not isinstance(leaf, jax.Array | float):
@@ -141,7 +142,7 @@ class AdaptiveVelocities(AbstractObserver[AdaptiveEstimate]):
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> AdaptiveEstimate:
         n, law = y.shape[0], self.law(u, y)
-        value, certificate, pending, P, belief = judged(F, law, u, y)
+        value, certificate, flagged, P, belief = judged(F, law, u, y)
         U = unpacked(belief.factors)[2 * n :]
         found, Q = belief.mean[2 * n :], covariance(U, belief.factors.pivots)
         first = law.deviations.parameters
@@ -150,7 +151,7 @@ class AdaptiveVelocities(AbstractObserver[AdaptiveEstimate]):
         return AdaptiveEstimate(
             value,
             certificate,
-            pending | improbable | unknown(self.guard, certificate),
+            flagged | improbable | unknown(self.guard, certificate),
             P,
             parameters=found,
             parameter_covariance=Q,

@@ -22,6 +22,7 @@ from ._mechanical_filter import MechanicalKalman
 from ._motion import Motion
 from ._unwrapped import continued_angles
 
+MISFIT = 4.0  # mean square of normalised innovations; of mere rounding it is at most 3
 POSITIVE = "output_deviation", "input_deviation", "force_deviation", "prior", "interval"
 
 
@@ -55,8 +56,8 @@ class LiftedVelocities(AbstractObserver):
     - `prior`: the standard deviation of the first velocities (m/s, rad/s), shape `()` or
       `(n,)`; by default nothing is known of them;
     - `initial`: their mean, shape `(n,)`; zero by default;
-    - `guard`: below its threshold the certificate flags the estimate as coasting; `None`
-      flags nothing but missing samples;
+    - `guard`: below its threshold the certificate flags the estimate as coasting; with
+      `None` it does not;
     - `interval`: in continuous time, of the samples (s) that the deviations belong to.
 
     The estimate has the `covariance` of the velocities, shape `(n, n)`. Its certificate is
@@ -64,6 +65,11 @@ class LiftedVelocities(AbstractObserver):
     that of [`Lifted`][]. Over samples that are missing it is carried along by the model.
     After them it is flagged until its deviation is at most twice what it was before, or
     5 % of the estimate.
+
+    A model that is wrong is believed all the same, and more with every sample: give a
+    `force_deviation`, or let [`AdaptiveVelocities`][] find what is wrong. The covariance
+    does not know, but the positions do: while the innovations of the last 100 samples are
+    twice as large as they should be, the estimate is flagged.
 
     Source: theory, sections 5 and 10; Kalman 1960, doi:10.1115/1.3662552; Bierman 1977.
 
@@ -101,8 +107,8 @@ class LiftedVelocities(AbstractObserver):
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
         law = self.law(u, y)
-        value, certificate, pending, P, _ = judged(F, law, u, y)
-        flagged = pending | unknown(self.guard, certificate)
+        value, certificate, flagged, P, _ = judged(F, law, u, y)
+        flagged = flagged | unknown(self.guard, certificate)
         return Estimate(value, certificate, flagged, P)
 
 
@@ -189,8 +195,8 @@ def whole(name: str, value: Array, like: Array) -> Array:
 def judged(
     F: Pass, law: MechanicalKalman, u: Array, y: Array
 ) -> tuple[Array, Array, Bool[Array, ""], Float[Array, "n n"], MechanicalBelief]:
-    """The velocities, their certificate, whether they are flagged after missing samples,
-    their covariance, and the whole belief."""
+    """The velocities, their certificate, whether they are flagged after missing samples or
+    since the model does not fit, their covariance, and the whole belief."""
     n, dtype = y.shape[0], y.dtype
     hole = hole_of(F, dtype, blind=True)
     if hole is not None:
@@ -204,4 +210,5 @@ def judged(
     total = jnp.sum(variances)
     drive = F.missing.astype(dtype), total, jnp.sum(value**2)
     pending = F.evolve(Pending(), drive, jnp.zeros_like(total), "pending") > 0.0
-    return value, 1.0 / (1.0 + worst), pending, P, belief
+    flagged = pending | (belief.misfit > MISFIT)
+    return value, 1.0 / (1.0 + worst), flagged, P, belief

@@ -9,10 +9,12 @@ from .._factored import Factors
 
 class MechanicalBelief(NamedTuple):
     """Mean, shape `(N,)`, and factors of the covariance, of positions, velocities and
-    unknown parameters."""
+    unknown parameters; `misfit`, shape `()`: the mean square of the last innovations, in
+    units of what is believed of them, one where the model is right."""
 
     mean: Float[Array, " N"]
     factors: Factors
+    misfit: Float[Array, ""]
 
 
 class Deviations(NamedTuple):

@@ -13,6 +13,8 @@ from ._mechanical_belief import Deviations, MechanicalBelief
 from ._mechanical_flow import flow
 from ._motion import Motion, Slopes
 
+MEMORY = 100.0  # samples over which innovations are compared with what is believed of them
+
 
 class MechanicalKalman(AbstractLaw):
     """The belief, driven by `(u, y)`: sampled, a prediction over the interval with u held,
@@ -38,7 +40,8 @@ class MechanicalKalman(AbstractLaw):
         mean = jnp.concatenate([y, velocity, self.motion.nominal(dtype)])
         d = jnp.concatenate([of.output, of.velocity, of.parameters]) ** 2
         one = jnp.eye(d.shape[0], dtype=dtype)
-        return MechanicalBelief(mean.astype(dtype), packed(one, d.astype(dtype)))
+        factors = packed(one, d.astype(dtype))
+        return MechanicalBelief(mean.astype(dtype), factors, jnp.zeros((), dtype))
 
     def discretise(self, h: Any) -> Any:
         return h
@@ -62,11 +65,13 @@ class MechanicalKalman(AbstractLaw):
             W.append(jnp.eye(d.shape[0], dtype=dtype)[:, 2 * n :])
             weights.append(h * self.deviations.drift**2)
         U, d = propagated(jnp.concatenate(W, axis=1), jnp.concatenate(weights))
+        misfit = X.misfit
         for j in range(n):
-            variance = self.deviations.output[j] ** 2
-            U, d, gain = updated(U, d, self.trust * U[j], variance)
-            mean = mean + gain * (y1[j] - mean[j])
-        return MechanicalBelief(mean, packed(U, d))
+            error, variance = y1[j] - mean[j], self.deviations.output[j] ** 2
+            U, d, gain, total = updated(U, d, self.trust * U[j], variance)
+            mean = mean + gain * error
+            misfit = misfit + self.trust * (error**2 / total - X.misfit) / (n * MEMORY)
+        return MechanicalBelief(mean, packed(U, d), misfit)
 
     def flow(self, X: PyTree, v: PyTree) -> PyTree:
         return flow(self, X, *v)

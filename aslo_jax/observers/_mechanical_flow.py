@@ -38,4 +38,5 @@ def flow(law: Any, X: MechanicalBelief, u: Any, y: Any) -> MechanicalBelief:
     rate = jnp.concatenate([law.motion.rate(x, parameters, u), jnp.zeros(k, dtype)])
     rate = rate + U @ (seen.T @ pull)
     above = jnp.triu(M * reciprocal(d), 1)
-    return MechanicalBelief(rate, packed(U @ above, jnp.diagonal(M)))
+    factors = packed(U @ above, jnp.diagonal(M))
+    return MechanicalBelief(rate, factors, jnp.zeros_like(X.misfit))

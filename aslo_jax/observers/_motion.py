@@ -14,6 +14,13 @@ from ..plants._mechanical import solve
 PUSH = "push"  # a constant force on every coordinate, which no system has among its leaves
 
 
+def leaf_of(system: Any, name: str) -> Any:
+    """A leaf of a system by its name, fields joined by dots; `None` where it has none."""
+    for field in name.split("."):
+        system = getattr(system, field, None)
+    return system
+
+
 class Slopes(NamedTuple):
     """The derivatives of the accelerations by the positions and the velocities, shape `(n,
     n)`, by the unknown parameters, shape `(n, k)`, and by what is noise, shape `(n, w)`."""
@@ -26,7 +33,7 @@ class Slopes(NamedTuple):
 
 class Motion(Module):
     """The motion of a `system` of `n` coordinates q. `parameters` are the names of those of
-    its leaves that are not known, or `"push"`, a constant force on every coordinate (N or
+    its leaves that are not known, fields joined by dots, or `"push"`, a constant force on every coordinate (N or
     N m) that is not in u; `forces` says whether there is noise of that kind."""
 
     system: AbstractMechanicalSystem
@@ -36,7 +43,7 @@ class Motion(Module):
 
     def leaf(self, name: str) -> Any:
         """An unknown parameter as the system has it."""
-        return jnp.zeros(self.n) if name == PUSH else getattr(self.system, name)
+        return jnp.zeros(self.n) if name == PUSH else leaf_of(self.system, name)
 
     def nominal(self, dtype: Any) -> Float[Array, " k"]:
         """The values that the system has, one after the other."""
@@ -66,7 +73,7 @@ class Motion(Module):
         system, values = self.system, self.values(parameters)
         push = values.pop(PUSH, None)
         for name, value in values.items():
-            leaf = lambda s, name=name: getattr(s, name)
+            leaf = lambda system, name=name: leaf_of(system, name)
             system = eqx.tree_at(leaf, system, value)
         found = system.acceleration(q, velocity, u)
         for each in (push, force):

@@ -34,6 +34,31 @@ def counted(law: Any, advance: Any) -> int:
     return Program.of(bodies, shapes, ONE).operations
 
 
+def counted_observer(observer: Any, u: Any, y: Any) -> int:
+    """Those of a step of an observer that has begun, once optimised."""
+    import equinox as eqx
+    import jax
+
+    from aslo_jax.engines._fused.kept import ONE, shape_of
+    from aslo_jax.engines._fused.program import Bodies, Program
+
+    arrays, rest = eqx.partition(observer, eqx.is_array)
+    shapes = {
+        "shared": jax.tree.map(shape_of, arrays),
+        "lane": jax.tree.map(shape_of, observer.init(y, u)),
+        "log": jax.tree.map(shape_of, {"u": u, "y": y}),
+    }
+
+    def step(k, X, inputs):
+        observer, now = eqx.combine(inputs["shared"], rest), inputs["log"]
+        coefficients = observer.allocate(now["y"], now["u"]).discretise(1e-3)
+        X, estimate = observer.advance(X, now["u"], now["y"], coefficients)
+        return X, estimate.value
+
+    bodies = Bodies(lambda inputs: (inputs["lane"], None), step, lambda X, inputs: X)
+    return Program.of(bodies, shapes, ONE).operations
+
+
 def operations() -> dict[str, int]:
     """Of the filters: `Lifted`, and `Adaptive` once one of its bank is left."""
     import jax.numpy as jnp

@@ -9,6 +9,8 @@ from typing import Any
 from ..results import FOLDER, save
 from .contenders import contenders
 from .cost import cost
+from .mechanical_table import measured as measured_mechanism
+from .mechanisms import regimes as mechanical_regimes
 from .operations import operations
 from .page import tables
 from .regimes import CURRENT, INTERVAL, VOLTAGE, regimes
@@ -29,7 +31,7 @@ CALIBRATED = 0.7, 1.4
 
 def chosen() -> tuple[list[str], bool]:
     """The regimes of the command line, all by default; and whether costs are measured."""
-    every = list(regimes())
+    every = [*regimes(), *mechanical_regimes()]
     given = [b for a, b in zip(sys.argv, sys.argv[1:], strict=False) if a == "--regime"]
     if unknown := set(given) - set(every):
         sys.exit(f"No regime {sorted(unknown)}; there are {every}.")
@@ -105,11 +107,16 @@ def main() -> list[str]:
     names, costs = chosen()
     figures = json.loads(path.read_text()) if path.exists() else {}
     failures = []
-    print(
-        f"Flux error (mWb) with {1e3 * CURRENT:g} mA and {VOLTAGE:g} V of noise at "
-        f"{1e-3 / INTERVAL:g} kHz, {len(VALIDATION)} seeds; divergences of {len(STARTS)}"
-    )
+    if set(names) & set(regimes()):
+        print(
+            f"Flux error (mWb) with {1e3 * CURRENT:g} mA and {VOLTAGE:g} V of noise at "
+            f"{1e-3 / INTERVAL:g} kHz, {len(VALIDATION)} seeds; divergences of "
+            f"{len(STARTS)}"
+        )
     for name in names:
+        if name in mechanical_regimes():
+            failures += measured_mechanism(name)
+            continue
         found: dict[str, Any] = {"bounds": bounds(name), "contenders": {}}
         for who, contender in contenders().items():
             start = time.perf_counter()

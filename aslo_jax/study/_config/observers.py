@@ -128,10 +128,16 @@ class AbstractNoiseTable(AbstractObserverTable, abc.ABC):
         "standard deviation of the noise on every sample of the input (its unit)",
         allowed=DEVIATION,
     )
+    force_deviation: Deviation | None = key(
+        "of a mechanism: standard deviation of forces that the model does not know, in "
+        "every interval (N, N m), by default none",
+        default=None,
+        allowed="a positive finite number, or one for each coordinate",
+    )
 
 
 class LiftedTable(AbstractNoiseTable):
-    """The Kalman filter of the plant's relation."""
+    """The Kalman filter of the plant's relation, of all velocities of a mechanism."""
 
     kind: Literal["lifted_kalman"] = key("the kind of observer")
     prior: Positive | None = key(
@@ -147,7 +153,8 @@ class LiftedTable(AbstractNoiseTable):
 
 
 class AdaptiveTable(AbstractNoiseTable):
-    """The Kalman filter of the plant's relation with unknown parameters."""
+    """The Kalman filter of the plant's relation, or of all velocities of a mechanism, with
+    unknown parameters."""
 
     kind: Literal["adaptive"] = key("the kind of observer")
     parameters: list[str] = key(
@@ -155,17 +162,19 @@ class AdaptiveTable(AbstractNoiseTable):
         default=["resistance", "magnet_flux"],
     )
     deviations: list[Positive] = key(
-        "relative standard deviations of these", default=[0.1, 0.02]
+        "standard deviations of these: of a motor relative, of a mechanism in their units",
+        default=[0.1, 0.02],
     )
     drift: NonNegative = key(
-        "relative random walk of these: deviation after a second (1/sqrt(s))", default=0.0
+        "random walk of these: deviation after a second (of a motor relative; 1/sqrt(s))",
+        default=0.0,
     )
     hold: Positive = key(
-        "relative deviation of the first of these above which they may be held",
+        "of a motor: relative deviation of the first of these above which they may be held",
         default=0.03,
     )
     bank: Annotated[int, Field(ge=3)] = key(
-        "how many values of the first of these", default=11
+        "of a motor: how many values of the first of these", default=11
     )
     tolerance: Positive = key(
         "relative deviation of x above which its estimate is flagged", default=0.01
