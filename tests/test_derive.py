@@ -225,7 +225,7 @@ def test_momenta_hold_for_other_parameters_and_everywhere():
         ],
         lambda x, y, u: x,
         states={"ball": (-1, 1), "beam": (-1, 1)},
-        outputs={"q1": (-0.5, 0.5), "q2": (-0.5, 0.5)},
+        outputs={"q1": (-0.5, 0.5), "q2": (-2, 2)},
         inputs={"torque": (-5, 5)},
         parameters={"L": 1.2, "g": 9.81},
     )
@@ -243,11 +243,12 @@ def test_momenta_hold_for_other_parameters_and_everywhere():
     expected = [y[0] * v[1] ** 2 - 9.81 * jnp.sin(y[1]), torque, 2 * momentum * torque]
     np.testing.assert_allclose(terms.A @ X + terms.z, expected, rtol=1e-9)
     weights = np.asarray(terms.s) / np.asarray(y)
+    np.testing.assert_allclose(weights, [1.0, 0.25])  # one over the ranges
     np.testing.assert_allclose(terms.C @ X - terms.d, weights * v, rtol=1e-9)
 
 
 def test_a_factor_that_the_model_does_not_have_is_a_series():
-    """`x' = -cos(y) x y'`: exp(sin y) x does not change. Beyond its range it is no number."""
+    """`x' = -cos(y) x y'`: exp(sin y) x is constant. Beyond its range it is no number."""
     found = derive(
         aslo.Model(
             lambda x, y, u: [-jnp.cos(y[0]) * x[0] ** 2],
