@@ -133,7 +133,7 @@ class Model:
         count = len(self.states)
         named = dict(zip(self.known, p, strict=True))
         named |= dict(zip(self.unknown, x[count:], strict=True))
-        arguments = [x[:count], y, u]
+        arguments: list[Any] = [x[:count], y, u]
         if wants_parameters(function):
             arguments.append({name: named[name] for name in self.parameters})
         try:
