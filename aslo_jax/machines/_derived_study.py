@@ -34,7 +34,11 @@ def load_model(path: str, folder: Path) -> Model:
 
 
 def load_derivable(path: str, folder: Path) -> Model | AbstractMechanicalSystem:
-    """A model, or a mechanical system, as [`load_model`][]."""
+    """The model, or the mechanical system, of an import `path`, `"module:attribute"`, whose
+    module may lie in `folder`.
+
+    **Raises:** [`MachineError`][].
+    """
     hint = "an `aslo_jax.Model` or an `AbstractMechanicalSystem`"
     return load(path, folder, f"{path}:", Model | AbstractMechanicalSystem, hint)
 
