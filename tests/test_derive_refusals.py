@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from derivable_others import drone, epidemic, van_der_pol
+from random_models import left_of, model_of
 
 import aslo_jax as aslo
 from aslo_jax.derivation import Model, NotDerivable, derive
@@ -254,3 +255,20 @@ def test_a_function_that_fails_is_told_by_its_line(name):
     with pytest.raises(ValueError, match="Argument `f`") as caught:
         derive(Model(function, lambda x, y, u: [x[0]], **ranges))
     assert expected in str(caught.value) and "test_derive_refusals.py:" in str(caught.value)
+
+
+@pytest.mark.slow
+def test_what_is_derived_of_random_models_holds():
+    """At points of their ranges, and where it is proved far outside; and not all of them
+    are refused."""
+    found = 0
+    for seed in range(48):
+        try:
+            derived = derive(model_of(seed))
+        except NotDerivable:
+            continue
+        found += 1
+        assert left_of(derived) < 1e-7, seed
+        if derived.proved and derived.coordinates.change is None:
+            assert left_of(derived, 3.0) < 1e-7, seed
+    assert 12 < found < 44

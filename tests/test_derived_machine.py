@@ -105,6 +105,23 @@ def test_a_study_runs_the_model_with_every_observer(folder):
             np.testing.assert_allclose(np.asarray(record.y)[k + 1, 0], s[1], rtol=1e-6)
 
 
+def test_a_study_can_be_sent_to_another_process(folder):
+    """With no function of the model: its code goes along."""
+    cloudpickle = pytest.importorskip("cloudpickle")
+    experiment = read_configuration(folder / "study.toml").experiment
+    sent = cloudpickle.dumps(experiment)
+    assert b"plant.py" not in sent
+    again = cloudpickle.loads(sent)
+    plant, other = experiment.plant, again.plant
+    x, u = plant.initial(), jnp.array([3.0])
+    same = jax.tree.map(
+        np.array_equal,
+        plant.vector_field(jnp.zeros(()), x, u),
+        other.vector_field(jnp.zeros(()), x, u),
+    )
+    assert all(same.values())
+
+
 def test_a_study_is_told_by_the_constants_of_its_model(folder, tmp_path):
     """One that is resumed must be the same one: numbers within functions, too."""
 

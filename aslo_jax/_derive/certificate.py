@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from .._filters import LowPass
 from .._replay import replay
+from .._runge_kutta import runge_kutta
 from ..observers import AlgebraicObserver
 from .model import Model
 
@@ -71,11 +72,10 @@ def certificate(
     spans = np.array([high - low for low, high in model.outputs.values()])
     noisy = y + NOISE * spans * rng.normal(size=y.shape)
     observer = AlgebraicObserver(relation, LowPass(cutoff), guard=None)
-    run = jax.vmap(lambda y: replay(observer, jnp.asarray(t), jnp.asarray(u), y))
-    found = run(jnp.stack([jnp.asarray(y), jnp.asarray(noisy)]))
+    clean, noisy = (replay(observer, t, u, each, engine="auto") for each in (y, noisy))
     late = slice(len(y) // 2, None)
-    value = float(np.median(np.asarray(found.certificate)[0, late]))
-    clean, moved = np.asarray(found.value)[:, late]
+    value = float(np.median(np.asarray(clean.certificate)[late]))
+    clean, moved = (np.asarray(each.value)[late] for each in (clean, noisy))
     size = np.sqrt(np.mean(clean**2, axis=0))
     change = np.sqrt(np.median((moved - clean) ** 2, axis=0))
     worst = float(np.max(change / np.maximum(size, 1e-300)))
@@ -154,13 +154,8 @@ def _simulated(model: Model, t: np.ndarray, u: np.ndarray) -> np.ndarray | None:
 
     def step(s: Any, held: Any) -> Any:
         f = lambda s: slope(s, held)
-        old = consistent(s, held)
-        for _ in range(STEPS):
-            a = f(s)
-            b = f(s + 0.5 * h * a)
-            c = f(s + 0.5 * h * b)
-            s = s + h / 6 * (a + 2 * b + 2 * c + f(s + h * c))
-        return s, old
+        part = lambda k, s: runge_kutta(lambda t, s: f(s), 0.0, s, h)
+        return jax.lax.fori_loop(0, STEPS, part, s), consistent(s, held)
 
     start = middle.at[:n].add(0.25 * half[:n])
     _, s = jax.lax.scan(step, start, jnp.asarray(u))

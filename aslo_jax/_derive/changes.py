@@ -19,7 +19,8 @@ from numpy.polynomial import chebyshev
 from .dictionary import Matrix, with_slopes
 from .lifted import Lowered
 from .model import Model, entries, wants_parameters
-from .polynomials import Points, Top
+from .points import Points
+from .polynomials import Top
 from .symbols import Program, program
 
 DEGREE = 200  # the most of a factor's series

@@ -7,7 +7,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Inexact
 
 from .._small import safe_reciprocal
 from .closure import Constant
@@ -220,7 +220,7 @@ class _Decoding:
 
 
 def generators(
-    ring: Ring, x: Float[np.ndarray, "N n"], p: Float[np.ndarray, " k"]
+    ring: Ring, x: Inexact[np.ndarray, "N n"], p: Float[np.ndarray, " k"]
 ) -> dict[int, np.ndarray]:
     """The values of all generators for states `x`, shape `(N, n)`."""
     values = {g: x[:, g] for g in range(ring.states)}
@@ -237,10 +237,10 @@ def generators(
 def lifted_states(
     ring: Ring,
     basis: Sequence[Constant],
-    x: Float[np.ndarray, "N n"],
+    x: Inexact[np.ndarray, "N n"],
     p: Float[np.ndarray, " k"],
-) -> Float[np.ndarray, "N m"]:
-    """The entries of the relation's x for states `x` of the model."""
+) -> Inexact[np.ndarray, "N m"]:
+    """The entries of the relation's x for states `x` of the model, which may be complex."""
     values = generators(ring, x, p)
     columns = [
         sum(c * np.prod([values[g] for g in m], axis=0) for m, c in b.items())

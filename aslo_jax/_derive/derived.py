@@ -128,8 +128,9 @@ class Derived:
           sample of the outputs and of the inputs, in their units, one number or one each;
         - `prior`: that of the first belief of the relation's x, about the middle of what
           the ranges of the states make of it, shape `(n,)`: by default half the width;
-        - `threshold`: the certificate, between 0 and 1, below which the estimate coasts;
-          `None` returns the filter's mean as it is;
+        - `threshold`: the certificate below which the estimate coasts, `1/(1 + r)`, r the
+          largest variance of a state beside the square of half its range; `None` returns
+          the filter's mean as it is;
         - `initial`: the states before the first certified instant, shape `(k,)`.
         """
         low, high = self._bounds()
@@ -267,6 +268,7 @@ def _derived(
     steps = decoder(lowered.ring, basis, _drawn(model.ranges), model.values())
     names = list(model.ranges)
     middle = tuple(0.5 * (low + high) for low, high in model.ranges.values())
+    half = tuple(0.5 * (high - low) for low, high in model.ranges.values())
     text = lowered.ring.text
     lifted = tuple(
         " + ".join(text(m) if c == 1 else f"{c:.4g} {text(m)}" for m, c in b.items())
@@ -284,7 +286,7 @@ def _derived(
         closure.structural,
         _slowest(parts),
         tuple(reason(lowered, each) for each in closure.failures),
-        Coordinates(steps, rates, middle, change),
+        Coordinates(steps, rates, middle, half, change),
         lowered.ring,
         tuple(basis),
     )

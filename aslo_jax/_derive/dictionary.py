@@ -18,7 +18,8 @@ from jaxtyping import Array, Float
 from . import symbols
 from .closure import echelon
 from .lifted import Lowered
-from .polynomials import Points, Polynomial, Sampled, Top, add, multiply
+from .points import Points
+from .polynomials import Polynomial, Sampled, Top, add, multiply
 from .symbols import Program, Symbolic, program
 
 UNKNOWNS = 160  # the most coefficients of a covector

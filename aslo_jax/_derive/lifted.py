@@ -7,7 +7,8 @@ import numpy as np
 
 from .closure import Closure, close, remainder
 from .model import Model
-from .polynomials import Drawn, Points, Polynomial, Ring, Sampled, Top
+from .points import Drawn, Points
+from .polynomials import Polynomial, Ring, Sampled, Top
 from .symbols import Symbolic, lowered
 
 POINTS = 48

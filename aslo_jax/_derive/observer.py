@@ -28,12 +28,14 @@ class Coordinates(Module):
     the parameters of the model, in order.
 
     - `decoder`, `rates`: the code of both; `middle`: values of states that are not found;
+      `half`: those of the half widths of the ranges of all;
     - `change`: the coordinates that the relation is in, where they are not the model's.
     """
 
     decoder: Decoder = eqx.field(static=True)
     rates: Program = eqx.field(static=True)
     middle: tuple[float, ...] = eqx.field(static=True)
+    half: tuple[float, ...] = eqx.field(static=True)
     change: Change | Matrix | None = eqx.field(static=True, default=None)
 
     def states(
@@ -133,16 +135,21 @@ class StateObserver(AbstractObserver):
         return Estimate(value, found.certificate, coasting, found.covariance)
 
     def decoded(self, found: Estimate, y: PyTree) -> Estimate:
-        """The estimate of the states from one of the relation's x."""
-        of = lambda X: self.coordinates.states(self.relation.values, X, y)
-        (states, worth), covariance = of(found.value), found.covariance
-        if covariance is not None:
-            J = jax.jacfwd(lambda X: of(X)[0])(found.value)
-            covariance = J @ covariance @ J.T
-        certificate = found.certificate
-        if not self.coordinates.decoder.is_selection:
-            certificate = certificate * worth
-        return Estimate(states, certificate, found.coasting, covariance)
+        """The estimate of the states from one of the relation's x. With a covariance the
+        certificate is `1/(1 + r)`, r the largest variance of a state beside the square of
+        half its range."""
+        coordinates = self.coordinates
+        of = lambda X: coordinates.states(self.relation.values, X, y)
+        states, worth = of(found.value)
+        if found.covariance is None:
+            known = found.certificate
+            known = known if coordinates.decoder.is_selection else known * worth
+            return Estimate(states, known, found.coasting)
+        J = jax.jacfwd(lambda X: of(X)[0])(found.value)
+        P = J @ found.covariance @ J.T
+        half = jnp.asarray([coordinates.half[k] for k in coordinates.decoder.states])
+        r = jnp.max(jnp.diagonal(P) / half.astype(P.dtype) ** 2)
+        return Estimate(states, 1.0 / (1.0 + r), found.coasting, P)
 
 
 def state_observer(

@@ -41,6 +41,11 @@ class Code:
     through: tuple[str, ...]
     derived: Any = dataclasses.field(repr=False, default=None)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what was derived, which a plant in another process does not need, and
+        which cannot be sent there."""
+        return self.__dict__ | {"derived": None}
+
     @property
     def names(self) -> tuple[str, ...]:
         """Those of the state: what is not measured, then the outputs that are states."""

@@ -37,7 +37,11 @@ def load_model(path: str, folder: Path) -> Model:
 
 
 def load_derivable(path: str, folder: Path) -> Model | AbstractMechanicalSystem:
-    """A model, or a mechanical system, as [`load_model`][]."""
+    """The model, a plant that is one, or the mechanical system, of an import `path`,
+    `"module:attribute"`, whose module may lie in `folder`.
+
+    **Raises:** [`MachineError`][].
+    """
     wanted = Model | AbstractModelledPlant | AbstractMechanicalSystem
     hint = "an `aslo_jax.Model`, a plant that is one or an `AbstractMechanicalSystem`"
     found = load(path, folder, f"{path}:", wanted, hint)
