@@ -3,8 +3,8 @@ of the ready-made studies. `plants.json` and `plants.md` in the folder of the re
 
 Every observer has had the same search on training seeds (`python -m benchmarks.gains NAME`,
 whose gains stand in the studies), and is judged on fresh ones. The bound is that of Cramér
-and Rao, for observers that know as much. `--wrong`: besides with every parameter 2 % off, for
-which all are tuned anew.
+and Rao, for observers that know as much. `--wrong`: besides with every parameter 2 % off,
+for which all are tuned anew.
 """
 
 import copy
