@@ -6,12 +6,10 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from ..plants import AbstractMechanicalSystem
 from ._base import MachineError
-
-Loaded = TypeVar("Loaded")
 
 
 def load_system(path: str, folder: Path) -> AbstractMechanicalSystem:
@@ -20,13 +18,7 @@ def load_system(path: str, folder: Path) -> AbstractMechanicalSystem:
     return load(path, folder, f"`machine.system`, {path}:", AbstractMechanicalSystem, hint)
 
 
-def load(
-    path: str,
-    folder: Path,
-    what: str,
-    wanted: type[Loaded] | tuple[type[Loaded], ...],
-    hint: str,
-) -> Loaded:
+def load(path: str, folder: Path, what: str, wanted: Any, hint: str) -> Any:
     """What `path`, `"package.module:attribute"`, names, or what that returns when it is
     called. Modules of `folder` come before installed ones, for this call only. `what`
     begins the messages, the `hint` says what is `wanted`.
@@ -45,7 +37,7 @@ def load(
         raise MachineError(
             f"{what} it must be {hint}, or return one, but it is {_a(found)}"
         )
-    return found  # pyright: ignore[reportReturnType]
+    return found
 
 
 @contextmanager

@@ -78,14 +78,15 @@ def refuse_keys(keys: Any, *names: str) -> None:
             )
 
 
-def one_number(keys: Any, *names: str) -> None:
-    """Refuse several numbers where an observer takes one.
+def refuse_list(keys: Any, name: str) -> None:
+    """Refuse a list where one number is meant.
 
     **Raises:** `ValueError`.
     """
-    for name in names:
-        if isinstance(getattr(keys, name), list):
-            raise ValueError(f"`{name}` must be one number for this machine")
+    if isinstance(getattr(keys, name), list):
+        raise ValueError(
+            f"`{name}` must be one number for this machine, but is {getattr(keys, name)}"
+        )
 
 
 def _guard(keys: Any, threshold: float) -> Guard:
@@ -168,8 +169,8 @@ def of_round_motor() -> dict[str, Build]:
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         del start
         refuse_keys(keys, "drift")
-        one_number(keys, "measurement")
         process = jnp.asarray(keys.process, float)
+        refuse_list(keys, "measurement")
         relation = plant.flux_relation()
         return ExtendedKalman.of_pmsm(relation, keys.voltage, process, keys.measurement)
 
@@ -194,6 +195,7 @@ def of_mechanism(*, threshold: float) -> dict[str, Build]:
 
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         refuse_keys(keys, "voltage", "drift")
+        refuse_list(keys, "measurement")
         process = jnp.asarray(keys.process, float)
         return ExtendedKalman.of_mechanical(
             plant, process, keys.measurement, 1.0, initial=start.position
@@ -275,7 +277,7 @@ def of_model() -> dict[str, Build]:
 
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         refuse_keys(keys, "voltage")
-        one_number(keys, "process")
+        refuse_list(keys, "process")
         drift = keys.process if keys.drift is None else keys.drift
         measurement = jnp.asarray(keys.measurement, float)
         return ExtendedKalman.of_plant(plant, keys.process, drift, measurement, start)
@@ -299,7 +301,8 @@ def of_modelled_machine() -> dict[str, Build]:
 
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         refuse_keys(keys, "drift")
-        one_number(keys, "process", "measurement")
+        refuse_list(keys, "process")
+        refuse_list(keys, "measurement")
         return ExtendedKalman.of_machine(
             plant, keys.voltage, keys.process, keys.measurement, flux=start.flux
         )
