@@ -9,6 +9,8 @@ CompletionName: TypeAlias = Literal["least-squares", "repeat"]
 # Which engine is asked for, and which one runs.
 Engine: TypeAlias = Literal["auto", "fused", "scan"]
 RunningEngine: TypeAlias = Literal["fused", "scan"]
+# The same in continuous time.
+ContinuousEngine: TypeAlias = Literal["auto", "diffrax", "fused"]
 
 MOST_SUBSTEPS = 1000  # of a sampling interval
 
@@ -52,6 +54,7 @@ __all__ = [
     "Between",
     "CompletionName",
     "Connection",
+    "ContinuousEngine",
     "DesignName",
     "Engine",
     "FilterStart",

@@ -12,8 +12,9 @@ from ._checks import kind
 from ._filters import AbstractFilter, LowPass
 from ._module import Module
 from ._realise import Pass
-from ._relations import Row, contract, settled, swap
-from ._small import safe_reciprocal, solve_definite, solve_rows
+from ._relations import Row, settled, swap
+from ._small import safe_reciprocal, safe_rsqrt, solve_definite, solve_rows
+from ._swapped import INFORMATION, KNOWN, Motion
 from ._typing import RealArray
 from ._varying import Varying
 
@@ -108,29 +109,29 @@ class LeastSquares(AbstractCompletion):
                 "the information matrix indefinite."
             )
         F = F.using(forgetting)
-        r, b, z, A = row.r, row.b, row.z, row.A
+        r, b, motion = row.r, row.b, Motion(row.z, row.A)
         if r.ndim == 1:
             rr, rb = F.inject(r[:, None] * r), F.inject(r * b)
         else:
             rr = F.inject(jnp.sum(r[:, :, None] * r[:, None, :], axis=0))
             rb = F.inject(jnp.sum(r * b[:, None], axis=0))
-        if A is None:
+        if row.A is None:
             M = F.hidden(rr, "M")
-            v = F.hidden(rb + contract(M, z), "v")
-            # In a hole M decays and this does not, so that the certificate does.
-            scale = F.hidden(F.filter.inject(row.scale**2), "scale")
-        else:
+        elif row.constant and not F.exact:
+            A = row.A
 
             def drive(M):
                 return rr - A.T @ M - M @ A
 
-            if row.constant and not F.exact:
-                still = settled(lambda M: F.filter.flow(M, drive(M)), rr)
-                M = F.standing(drive, still, "M")
-            else:
-                M = F.hidden(drive, "M", jnp.zeros_like(rr))
-            Mz = contract(M, z)
-            v = F.hidden(lambda v: rb + Mz - A.T @ v, "v", jnp.zeros_like(rb))
+            still = settled(lambda M: F.filter.flow(M, drive(M)), rr)
+            M = F.standing(drive, still, "M")
+        else:
+            M = F.carried(INFORMATION, rr, motion, "M")
+        v = F.carried(KNOWN, rb, motion, "v", X=M, w=rr)
+        if row.A is None:
+            # In a hole M decays and this does not, so that the certificate does.
+            scale = F.hidden(F.filter.inject(row.scale**2), "scale")
+        else:
             M, v, scale = F.output(M), F.output(v), row.scale**2
         if row.honest:
             scale = jnp.maximum(scale, jnp.diagonal(M))
@@ -140,6 +141,11 @@ class LeastSquares(AbstractCompletion):
 def _solve(rows: list[Row]) -> tuple[Float[Array, " n"], Float[Array, ""]]:
     join = jnp.stack if rows[0].r.ndim == 1 else jnp.concatenate
     R, b = join([row.r for row in rows]), join([row.b for row in rows])
-    unit = safe_reciprocal(jnp.max(jnp.abs(R), axis=0) + rows[0].scale)
+    if rows[0].isotropic:
+        square = jnp.max(jnp.sum(R * R, axis=-1)) / R.shape[-1]
+        size = square * safe_rsqrt(square)
+    else:
+        size = jnp.max(jnp.abs(R), axis=0)
+    unit = safe_reciprocal(size + rows[0].scale)
     x, certificate = solve_rows(R * unit, b)
     return x * unit, certificate

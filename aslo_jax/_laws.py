@@ -47,6 +47,10 @@ class AbstractLaw(Module):
         """The state after the interval, the drive being `v0` at its left end and `v1`
         at its right end."""
 
+    def mapped(self, f: Callable[..., PyTree], *drives: PyTree) -> PyTree:
+        """The first of the `drives` with `f` of the values of all for its value."""
+        return f(*drives)
+
 
 class Integrator(AbstractLaw):
     """`X' = v`: any state that is not a filter. Sampled by the trapezoidal rule, which

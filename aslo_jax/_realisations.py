@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ._laws import AbstractLaw
+from ._swapped import Swapped
 from ._typing import PyTree
 
 __all__ = ["AbstractRealisation", "Advance", "Drive", "Flow", "Interval", "Start", "States"]
@@ -119,9 +120,16 @@ class Start(AbstractRealisation):
 
     def discretise(self, h: Float[Array, ""] | float) -> Mapping[str, PyTree]:
         """The coefficients of every law for intervals of `h` seconds, by state name."""
-        distinct = {id(law): law for law in self.laws.values()}
-        coefficients = {i: law.discretise(h) for i, law in distinct.items()}
-        return {name: coefficients[id(law)] for name, law in self.laws.items()}
+        found: dict[int, PyTree] = {}
+
+        def once(law):
+            if isinstance(law, Swapped):
+                return once(law.law), h
+            if id(law) not in found:
+                found[id(law)] = law.discretise(h)
+            return found[id(law)]
+
+        return {name: once(law) for name, law in self.laws.items()}
 
 
 class Flow(AbstractRealisation):

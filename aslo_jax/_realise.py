@@ -22,6 +22,7 @@ from ._realisations import (
     States,
     state_of,
 )
+from ._swapped import Carried, Motion, Rule, Swapped, Turning
 from ._typing import FilterStart, PyTree
 from ._varying import AbstractSchedule
 
@@ -231,6 +232,26 @@ class Pass:
         """`X' = A X + drive` from zero, or from `start`; a drive that depends on X needs
         one."""
         return self.evolve(*self.filter.following(drive, start), name)
+
+    def carried(
+        self,
+        rule: Rule,
+        b: Array,
+        motion: Motion,
+        name: str | None = None,
+        *,
+        X: Array | None = None,
+        w: Array | None = None,
+        turning: Turning | None = None,
+        means: bool = False,
+    ) -> Array:
+        """A hidden state from zero that goes along with an x whose `motion` is known, by a
+        `rule` of the Swapping Lemma, exactly so in samples: `b` is injected into it, and
+        it is driven by the product of z with the hidden state `X`, into which `w` is. `X`
+        may be `turning`; `means`: where a derivative is known between samples only."""
+        law, b, start = self.filter.following(b, jnp.zeros_like(b))
+        drive = Carried(b, motion, X, w, turning)
+        return self.evolve(Swapped(law, rule, means), drive, start, name)
 
     def standing(self, drive: Drive, start: Array, name: str | None = None) -> Array:
         """[`hidden`][] from the `start` at which it has settled under a `drive` that is

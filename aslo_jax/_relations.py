@@ -8,6 +8,7 @@ derivative `x' = A x + z` (`A` mostly absent). The Swapping Lemma turns the term
 """
 
 import abc
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +20,8 @@ from jaxtyping import Array, Float
 from ._module import Module
 from ._realise import Pass
 from ._signals import check_signals
+from ._small import contract, safe_rsqrt
+from ._swapped import FACTOR, PRODUCT, ROW, Motion, Turning
 from ._typing import PyTree
 
 __all__ = [
@@ -46,7 +49,10 @@ class Row(Module):
     - `constant`: whether `r` is a constant once its filters have settled;
     - `honest`: whether the least squares take what they hold for `scale` where that is
       more, so that no certificate is above one: where A varies, `scale` need not be what r
-      settles at.
+      settles at;
+    - `isotropic`: whether the entries of x have one unit and no direction of it is special,
+      so that one scale is for all of them: what an entry is measured against must not
+      depend on the axes, one of which may have no signal but noise.
     """
 
     r: Float[Array, "*rows n"]
@@ -60,6 +66,7 @@ class Row(Module):
     # start takes it.
     constant: bool = eqx.field(static=True, default=False)
     honest: bool = eqx.field(static=True, default=False)
+    isotropic: bool = eqx.field(static=True, default=False)
 
 
 class AbstractTerms(Module):
@@ -141,14 +148,14 @@ class Rate(AbstractTerms):
     honest: bool = eqx.field(static=True, default=False)
 
     def row(self, F: Pass) -> Row:
-        X = filtered_rows(F, self.c, self.A, self.constant, "r")
-        drive = contract(X, self.z)
-        if self.d is not None:
-            drive = drive + F.inject(self.d)
+        motion, w = Motion(self.z, self.A), F.inject(self.c)
+        X = filtered_rows(F, self.c, motion, self.constant, "r", means=True)
+        d = jnp.zeros_like(contract(w, self.z)) if self.d is None else F.inject(self.d)
         # With the paper's start a varying c has F[c] from zero; were pF[s] from zero too,
         # the estimate would begin as s(0)/t.
         settled = F.exact or not self.constant
-        b = F.p(self.s, "s", settled=settled) + F.output(F.hidden(drive, "b"))
+        E = F.carried(PRODUCT, d, motion, "b", X=X, w=w, means=True)
+        b = F.p(self.s, "s", settled=settled) + F.output(E)
         scale = _size(F, self.c, self.A, self.constant)
         return Row(F.output(X), b, self.z, self.A, scale, self.constant, self.honest)
 
@@ -165,7 +172,7 @@ class Quadratic(AbstractTerms):
     `r = C K - (C H) c`, `b = (C H) d + C W` with `H' = A H + B`,
     `K' = A K + B c' + H (Q z)'`, `W' = A W - B d + K z` (theory, section 2; Prop. 2).
     A constant in d drops out with the exact start. Where Q is a number, that times the
-    identity is meant.
+    identity is meant, and the certificate is the same in every frame.
     """
 
     Q: Float[Array, "n n"] | Float[Array, ""]
@@ -180,17 +187,21 @@ class Quadratic(AbstractTerms):
 
     def row(self, F: Pass) -> Row:
         H = F.settling("one")
-        Qz = self.times(self.z)
-        injected = F.inject(self.c) + jnp.multiply.outer(H, Qz)
-        if self.A is None:
-            K = F.hidden(injected, "r")
-        else:
-            K = F.hidden(lambda K: injected - K @ self.A, "r", jnp.zeros_like(injected))
-        W = F.hidden(contract(K, self.z) - F.inject(self.d), "b")
+        motion, turning = Motion(self.z, self.A), Turning(H, F.inject(1.0), self.Q)
+        w = F.inject(self.c)
+        K = F.carried(FACTOR, w, motion, "r", turning=turning)
+        known = -F.inject(self.d)
+        W = F.carried(PRODUCT, known, motion, "b", X=K, w=w, turning=turning)
         one, k = F.output(H), F.output(K)
         r = k - one * self.c
         b = one * self.d + F.output(W)
-        return Row(r, b, self.z, self.A, jnp.abs(k) + jnp.abs(one * self.c))
+        isotropic = self.Q.ndim == 0
+        if isotropic:
+            total = _length(k) + _length(one * self.c)
+            scale = jnp.broadcast_to(total / k.shape[0] ** 0.5, k.shape)
+        else:
+            scale = jnp.abs(k) + jnp.abs(one * self.c)
+        return Row(r, b, self.z, self.A, scale, isotropic=isotropic)
 
 
 class Rows(AbstractTerms):
@@ -217,8 +228,10 @@ class Rows(AbstractTerms):
         return {"C": (m, n), "s": (min(k, m),), "A": (n, n)}
 
     def row(self, F: Pass) -> Row:
-        X = filtered_rows(F, self.C, self.A, self.constant, "r")
-        b = F.output(F.hidden(contract(X, self.z) + F.inject(self.d), "b"))
+        motion, w = Motion(self.z, self.A), F.inject(self.C)
+        X = filtered_rows(F, self.C, motion, self.constant, "r", means=True)
+        E = F.carried(PRODUCT, F.inject(self.d), motion, "b", X=X, w=w, means=True)
+        b = F.output(E)
         k = self.s.shape[0]
         if k:
             settled = F.exact or not self.constant
@@ -247,32 +260,35 @@ def terms_of(relation: Callable[..., AbstractTerms], u: PyTree, y: PyTree) -> Ab
     return terms
 
 
+def _length(x: Float[Array, " n"]) -> Float[Array, ""]:
+    square = jnp.sum(x * x)
+    return square * safe_rsqrt(square)
+
+
 def _name(relation: Callable[..., Any]) -> str:
     return f"`{getattr(relation, '__name__', type(relation).__name__)}`"
-
-
-def contract(X: Float[Array, "*order n"], z: Float[Array, " n"]) -> Float[Array, "*order"]:
-    """`X z`, elementwise so that it fuses with what surrounds it."""
-    return jnp.sum(X * z, axis=-1)
 
 
 def filtered_rows(
     F: Pass,
     r: Float[Array, "*rows n"],
-    A: Float[Array, "n n"] | None,
+    motion: Motion,
     constant: bool,
     name: str,
+    *,
+    means: bool = False,
 ) -> Float[Array, "*order_rows n"]:
-    """`X' = A_f X + B r' - X A`, the hidden state of the filtered rows.
+    """`X' = A_f X + B r' - X A`, the hidden state of the filtered rows, with a rule that
+    takes `means` as [`Pass.carried`][] says.
 
     Constant rows are taken as settled with the paper's start.
     """
-    injected = F.inject(r)
-    drive = injected if A is None else lambda X: injected - X @ A
+    injected, A = F.inject(r), motion.A
     if constant and not F.exact:
+        drive = injected if A is None else lambda X: injected - X @ A
         still = F.filter.equilibrium(r) if A is None else _settled_rows(F, injected, A)
         return F.standing(drive, still, name)
-    return F.hidden(drive, name, None if A is None else jnp.zeros_like(injected))
+    return F.carried(ROW, injected, motion, name, means=means)
 
 
 def _size(
@@ -311,8 +327,9 @@ def swap(F: Pass, row: Row) -> Row:
     `F[r'x] = F[b]` becomes `(C X + D r')x = C E + D b` with `X' = A_f X + B r' - X A` and
     `E' = A_f E + X z + B b` (theory, section 2, general filter; paper, App. A).
     """
-    X = filtered_rows(F, row.r, row.A, row.constant, "r")
-    E = F.hidden(contract(X, row.z) + F.inject(row.b), "b")
+    b, motion = F.inject(row.b), Motion(row.z, row.A)
+    X = filtered_rows(F, row.r, motion, row.constant, "r")
+    E = F.carried(PRODUCT, b, motion, "b", X=X, w=F.inject(row.r))
     r = F.output(X) + F.filter.feedthrough(row.r)
     b = F.output(E) + F.filter.feedthrough(row.b)
-    return Row(r, b, row.z, row.A, row.scale, row.constant, row.honest)
+    return dataclasses.replace(row, r=r, b=b)

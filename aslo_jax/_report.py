@@ -40,7 +40,7 @@ def write_report(
       one at a time and trajectories in blocks of samples, so that a million samples fit;
     - `title` of the page, by default the observers' names;
     - `confidence` of every interval and test;
-    - `influences`: what [`influences`][] gives, for a table of them.
+    - `influences`: what `influences` gives, for a table of them.
 
     The page needs no other file and no network. The same dataset gives the same bytes.
 

@@ -1,200 +1,30 @@
 """Continuous co-simulation: plant, controller, observers and disturbances in one solve."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Generic
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._checks import function, is_concrete, kind, number
-from ._jumps import Span, between_jumps, span
-from ._module import Module
-from ._typing import PyTree
+from . import _choices
+from ._checks import counted, function, is_concrete, kind, number, one_of, positive, whole
+from ._interconnection import Interconnection, Simulation
+from ._jumps import between_jumps, span
+from ._typing import ContinuousEngine, PyTree
 from .control import AbstractController
 from .control._base import controlled
-from .disturbances import AbstractDisturbance, DisturbanceState, check_streams
+from .disturbances import AbstractDisturbance, check_streams
 from .disturbances._streams import check_disturbances
-from .observers import AbstractObserver, Estimate, ObserverState
+from .observers import AbstractObserver
 from .observers._base import Est, check_observers
 from .plants import AbstractPlant
 from .plants._base import check_first
 
-
-class Simulation(Module, Generic[Est]):
-    """What [`simulate`][] returns; every leaf has a leading axis of the `N` instants `t`.
-
-    - `t` (s), shape `(N,)`; `u`, the input that the observers saw; `y`, the measurement
-      they saw;
-    - `x`, the state of the plant; `hidden`, its unmeasured part, shape `(N, n)`;
-    - `estimates`: by observer name; `states`: every inner state of every observer, by
-      observer name and state name.
-    """
-
-    t: Float[Array, "*N"]
-    u: PyTree
-    y: PyTree
-    x: PyTree
-    hidden: Float[Array, "*N n"]
-    estimates: dict[str, Est]
-    states: dict[str, Any]
-
-    def error(self: "Simulation[Estimate]", name: str) -> Float[Array, "*N n"]:
-        """Estimate less truth of observer `name`, in the units of the state."""
-        return self.estimates[name].value - self.hidden
-
-    def to_dataframe(
-        self,
-        *,
-        names: Sequence[str] | None = None,
-        units: Mapping[str, str] | None = None,
-    ) -> Any:
-        """The simulation as a `pandas.DataFrame` with the index `t` (s) (the extra
-        `study`).
-
-        - `names` of the `n` entries of the hidden state, by default `hidden_0` and so on;
-        - `units`: by column (`"ASLO.value_0"`), by entry of every observer (`"value_0"`,
-          or a name) or by signal (`"u"`), kept in `attrs["units"]` of the table.
-
-        The columns are `u_0` and so on (`u` of a scalar, `u.name_0` of a mapping), the same
-        of `y` and of the state `x`, the hidden state by its names, and for each observer
-        `ASLO.` before its entries, by the same names where they are as many and otherwise
-        `value_0` and so on, and before `certificate` (1) and `coasting`.
-
-        **Raises:** `ValueError` for names that do not fit, for a batch of simulations, or
-        for the unit of no column; `ImportError` naming the command that installs pandas.
-        """
-        from ._tables import dataframe, simulation_columns
-
-        return dataframe(simulation_columns(self, names), units or {})
-
-    def to_xarray(
-        self,
-        *,
-        names: Sequence[str] | None = None,
-        units: Mapping[str, str] | None = None,
-    ) -> Any:
-        """The same as an `xarray.Dataset`: one variable for each column of
-        [`Simulation.to_dataframe`][], over the coordinate `t` (s), with its unit in the
-        attribute `units`."""
-        from ._tables import dataset, simulation_columns
-
-        return dataset(simulation_columns(self, names), units or {})
-
-
-class _Loop(Module):
-    """The interconnection: who sees what."""
-
-    plant: AbstractPlant
-    controller: AbstractController
-    observers: dict[str, AbstractObserver[Any]]
-    actuator: AbstractDisturbance | None
-    sensor: AbstractDisturbance | None
-    input_sensor: AbstractDisturbance | None
-    feedback: Callable[[PyTree, PyTree, dict[str, Any]], PyTree] | None
-    span: Span | None
-
-    def fed(self, t, x, y, observers):
-        if self.feedback is None:
-            return y
-        # No estimate depends on u at the instant, so any of its shape will do.
-        u = self.plant.no_input(y)
-        estimates = {
-            name: observer.estimate(t, ObserverState(observers[name], y), u, y)
-            for name, observer in self.observers.items()
-        }
-        return self.feedback(y, x, estimates)
-
-    def signals(self, t, state):
-        measured = self.plant.output(state["plant"])
-        y = _through(self.sensor, t, state["sensor"], measured, measured)
-        fed = self.fed(t, state["plant"], y, state["observers"])
-        command = self.controller(t, state["controller"], fed)
-        applied = _through(self.actuator, t, state["actuator"], command, measured)
-        seen = _through(self.input_sensor, t, state["input_sensor"], command, measured)
-        return measured, y, fed, command, applied, seen
-
-    def init(self, t0, x):
-        measured = self.plant.output(x)
-        sensor = _init("sensor", self.sensor, t0, measured, measured)
-        y = _through(self.sensor, t0, sensor, measured, measured)
-        blind = {} if self.feedback is None else self.observers
-        u = self.plant.no_input(y)
-        fed = self.fed(t0, x, y, {k: o.init(y, u).states for k, o in blind.items()})
-        controller = self.controller.init(fed)
-        command = jax.tree.map(jnp.asarray, self.controller(t0, controller, fed))
-        actuator = _init("actuator", self.actuator, t0, command, measured)
-        input_sensor = _init("input_sensor", self.input_sensor, t0, command, measured)
-        seen = _through(self.input_sensor, t0, input_sensor, command, measured)
-        return {
-            "plant": x,
-            "controller": controller,
-            "observers": {k: o.init(y, seen).states for k, o in self.observers.items()},
-            "actuator": actuator,
-            "sensor": sensor,
-            "input_sensor": input_sensor,
-        }
-
-    def vector_field(self, t, state, args):
-        del args
-        if self.span is not None:
-            t = self.span.inside(t)
-        measured, y, fed, command, applied, seen = self.signals(t, state)
-        observers = {
-            name: observer.vector_field(
-                t, ObserverState(state["observers"][name], y), seen, y
-            ).states
-            for name, observer in self.observers.items()
-        }
-        return {
-            "plant": self.plant.vector_field(t, state["plant"], applied),
-            "controller": self.controller.vector_field(t, state["controller"], fed),
-            "observers": observers,
-            "actuator": _rate(self.actuator, t, state["actuator"], command, measured),
-            "sensor": _rate(self.sensor, t, state["sensor"], measured, measured),
-            "input_sensor": _rate(
-                self.input_sensor, t, state["input_sensor"], command, measured
-            ),
-        }
-
-    def record(self, t, state, args) -> Simulation[Any]:
-        del args
-        _, y, _, _, _, seen = self.signals(t, state)
-        estimates = {
-            name: observer.estimate(t, ObserverState(state["observers"][name], y), seen, y)
-            for name, observer in self.observers.items()
-        }
-        x = state["plant"]
-        return Simulation(
-            t, seen, y, x, self.plant.hidden(x), estimates, state["observers"]
-        )
-
-
-def _through(part, t, state, signal, output):
-    return signal if part is None else part(t, state, signal, output)
-
-
-def _init(name, part, t, signal, output):
-    if part is None:
-        return None
-    state = part.init(t, signal, output)
-    if jax.tree.leaves(state.sampled):
-        raise ValueError(
-            f"Argument `{name}` must have no state that is updated at samples, of which "
-            f"there are none in continuous time, but {type(part).__name__} has one; run an "
-            "`Experiment`."
-        )
-    return state
-
-
-def _rate(part, t, state, signal, output):
-    if part is None:
-        return None
-    # What is updated at samples has no leaves here, but is part of the tree.
-    rate = part.vector_field(t, state, signal, output)
-    return DisturbanceState(rate, state.sampled)
+__all__ = ["Simulation", "simulate"]
 
 
 def simulate(
@@ -204,7 +34,7 @@ def simulate(
     *,
     t1: float,
     t0: float = 0.0,
-    ts: Float[Array, " N"] | None = None,
+    ts: Float[Array, " N"] | Float[np.ndarray, " N"] | None = None,
     initial: PyTree | None = None,
     actuator: AbstractDisturbance | None = None,
     sensor: AbstractDisturbance | None = None,
@@ -215,8 +45,12 @@ def simulate(
     dt0: float | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     max_steps: int = 100_000,
+    rtol: float | None = None,
+    atol: float | None = None,
+    engine: ContinuousEngine = "diffrax",
+    threads: int | None = None,
 ) -> Simulation[Est]:
-    """Integrate a plant, its controller, and observers beside each other, with diffrax.
+    """Integrate a plant, its controller, and observers beside each other.
 
     **Arguments:**
 
@@ -231,19 +65,39 @@ def simulate(
     - `feedback(y, x, estimates)`: what the controller is fed, by default y. Estimates are
       then needed before there is an input, so u must have the shape of
       `plant.no_input(y)`, by default that of y;
-    - `solver`, `stepsize_controller`, `dt0`, `adjoint`, `max_steps`: as in
-      `diffrax.diffeqsolve`; by default Tsit5 with `rtol=1e-8`, `atol=1e-10`
-      (1e-5 and 1e-7 where JAX computes in single precision). Pass
-      `diffrax.ConstantStepSize()` and `dt0` for fixed steps, for which [`RungeKutta4`][]
-      is the cheaper solver, and `diffrax.ForwardMode()` for forward gradients.
+    - `rtol`, `atol`: the tolerance of every step's error, `atol + rtol |x|` in each state,
+      by default 1e-8 and 1e-10 (1e-5 and 1e-7 where JAX computes in single precision);
+    - `max_steps`: that are tried at most;
+    - `engine`: `"diffrax"`, the reference, differentiable, with Tsit5 unless it is given
+      another `solver`; `"fused"` compiles the vector field and the steps to machine code
+      (the extra `study`), without derivatives; `jax.vmap` runs many systems beside each
+      other in it, each with steps of its own, on all processors. `"auto"` is `"fused"`
+      where that extra is installed, nothing is traced by `jax.jit` or a derivative, and
+      nothing is asked of diffrax; a system that cannot be compiled runs by diffrax, with a
+      warning that says why; `threads` of `"fused"`, by default as many as there are
+      processors;
+    - `solver`, `stepsize_controller` (in place of `rtol` and `atol`), `dt0`, `adjoint`: as
+      in `diffrax.diffeqsolve`, for that engine only. Pass `diffrax.ConstantStepSize()` and
+      `dt0` for fixed steps, for which [`RungeKutta4`][] is the cheaper solver, and
+      `diffrax.ForwardMode()` for forward gradients.
 
-    **Returns:** a [`Simulation`][]. Differentiable, and `jax.vmap` maps it over initial
-    states and parameters alike.
+    Held disturbances jump at known instants: both engines step to them, never across. The
+    fused engine takes Tsitouras' pair of orders 5 and 4 down to a `rtol` of 1e-5 and
+    Verner's of 9 and 8 below, with interpolants of orders 4 and 9 at `ts`; its |x| is the
+    largest value that the state has had up to now.
+
+    **Returns:** a [`Simulation`][]. `jax.vmap` maps it over initial states and parameters
+    alike. What a run of the fused engine does not reach is NaN, with a warning and a
+    `result`; other runs of a batch go on.
 
     **Raises:** `ValueError` for a span, instants, a step or a first state that do not fit,
-    and for parts that are none; diffrax's own error when the solver fails.
+    for parts that are none, and for what the engine does not take; [`NotFusible`][] where
+    the fused engine cannot compile a part; diffrax's own error when its solver fails.
     """
+    one_of("engine", engine, _choices.ContinuousEngine)
     controller = controlled(controller)
+    if threads is not None:
+        whole("threads", counted("threads", threads))
     kind("plant", plant, AbstractPlant, hint="a plant")
     check_observers(observers)
     function("feedback", feedback)
@@ -255,7 +109,7 @@ def simulate(
     if is_concrete(t0, t1) and not t0 < t1:
         raise ValueError(f"Argument `t1` must be after t0 = {t0} s, but got {t1} s.")
     if ts is None:
-        ts = jnp.linspace(t0, t1, 1001)
+        ts = _even(t0, t1)
     elif is_concrete(ts, t0, t1):
         instants = np.asarray(ts)
         if not (instants.ndim == 1 and (np.diff(instants) > 0).all()):
@@ -269,15 +123,26 @@ def simulate(
     check_streams((actuator, sensor, input_sensor))
     within = span((actuator, sensor, input_sensor), t0, t1)
     parts = (actuator, sensor, input_sensor, feedback, within)
-    loop = _Loop(plant, controller, dict(observers), *parts)
-    steps = stepsize_controller
-    if steps is None:
-        single = jnp.finfo(jnp.result_type(float)).bits == 32
-        rtol, atol = (1e-5, 1e-7) if single else (1e-8, 1e-10)
-        steps = diffrax.PIDController(rtol=rtol, atol=atol)
-    steps = between_jumps(steps, within, t0, dt0)
+    loop = Interconnection(plant, controller, dict(observers), *parts)
+    asked = {
+        "solver": solver,
+        "stepsize_controller": stepsize_controller,
+        "dt0": dt0,
+        "adjoint": adjoint,
+    }
+    asked = [name for name, given in asked.items() if given is not None]
+    tolerances = _tolerances(rtol, atol, stepsize_controller)
     x0 = plant.initial() if initial is None else initial
     check_first(plant, x0)
+    if engine != "diffrax":
+        most = counted("max_steps", max_steps), threads
+        found = _fused(loop, x0, (t0, t1), ts, tolerances, most, asked, engine)
+        if found is not None:
+            return found
+    steps = stepsize_controller
+    if steps is None:
+        steps = diffrax.PIDController(*tolerances)
+    steps = between_jumps(steps, within, t0, dt0)
     ts = jnp.asarray(ts)
     start, end = jnp.asarray(t0, ts.dtype), jnp.asarray(t1, ts.dtype)
     solution = diffrax.diffeqsolve(
@@ -294,3 +159,61 @@ def simulate(
     )
     assert solution.ys is not None
     return solution.ys
+
+
+def _even(t0: Any, t1: Any) -> Any:
+    """Instants, known under `jax.jit` too where the span is."""
+    if not is_concrete(t0, t1):
+        return jnp.linspace(t0, t1, 1001)
+    with jax.ensure_compile_time_eval():
+        return jnp.linspace(t0, t1, 1001)
+
+
+def _tolerances(rtol: Any, atol: Any, steps: Any) -> tuple[float, float]:
+    """Relative and absolute."""
+    single = jnp.finfo(jnp.result_type(float)).bits == 32
+    usual = (1e-5, 1e-7) if single else (1e-8, 1e-10)
+    for name, given in (("rtol", rtol), ("atol", atol)):
+        if given is None:
+            continue
+        if steps is not None:
+            raise ValueError(
+                f"Argument `{name}` must not be given with `stepsize_controller`, which "
+                "has one of its own."
+            )
+        number(name, given, "1" if name == "rtol" else "the units of the state")
+        positive(name, given)
+    return usual[0] if rtol is None else rtol, usual[1] if atol is None else atol
+
+
+def _fused(
+    loop: Interconnection,
+    x0: PyTree,
+    ends: tuple[Any, Any],
+    ts: Any,
+    tolerances: tuple[float, float],
+    most: tuple[int, int | None],
+    asked: list[str],
+    engine: ContinuousEngine,
+) -> Simulation[Any] | None:
+    """By the fused engine; None where diffrax is to do it."""
+    if asked:
+        if engine == "auto":
+            return None
+        raise ValueError(
+            f"Argument `{asked[0]}` is of diffrax alone, but got engine={engine!r}. Give "
+            '`rtol` and `atol` instead, or engine="diffrax".'
+        )
+    known = is_concrete(ts, *ends, *tolerances)
+    everything = jax.tree.leaves((eqx.filter(loop, eqx.is_array), x0))
+    if engine == "auto" and not (known and is_concrete(*everything)):
+        return None
+    if not known:
+        raise ValueError(
+            "Arguments `t0`, `t1`, `ts`, `rtol` and `atol` must be numbers with "
+            'engine="fused", but one is being traced; make `ts` with NumPy, or use '
+            'engine="diffrax".'
+        )
+    from .engines._adaptive.cosimulation import cosimulated
+
+    return cosimulated(loop, x0, ends, np.asarray(ts), tolerances, most, engine)

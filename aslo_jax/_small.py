@@ -20,6 +20,11 @@ def safe_rsqrt(x: Array) -> Array:
     return jnp.where(positive, 1.0 / jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
 
 
+def contract(X: Float[Array, "*order n"], z: Float[Array, " n"]) -> Float[Array, "*order"]:
+    """`X z`, elementwise so that it fuses with what surrounds it."""
+    return jnp.sum(X * z, axis=-1)
+
+
 def solve_definite(
     M: Float[Array, "n n"], v: Float[Array, " n"], scale: Float[Array, " n"] | None = None
 ) -> tuple[Float[Array, " n"], Float[Array, ""]]:

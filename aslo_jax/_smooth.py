@@ -3,6 +3,7 @@
 from typing import overload
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
@@ -10,7 +11,8 @@ from jaxtyping import ArrayLike
 from . import _choices
 from ._checked_log import checked_log
 from ._checks import is_concrete, one_of, unlike
-from ._smoothed import smoothed
+from ._derive.observer import StateObserver
+from ._smoothed import Smoothed, smoothed
 from ._smoothed_adaptive import smoothed_adaptive
 from ._typing import Missing, PyTree
 from .observers import AbstractObserver, Adaptive, AdaptiveEstimate, Estimate, Lifted
@@ -47,7 +49,8 @@ def smooth(
     """The estimate at every instant of a log from the whole log, later samples too:
     fixed-interval smoothing on the Kalman filter of a relation.
 
-    - `observer`: a [`Lifted`][] or an [`Adaptive`][];
+    - `observer`: a [`Lifted`][], an [`Adaptive`][], or that of the states of a model by a
+      Kalman filter ([`aslo_jax.derivation.Derived.kalman_filter`][]);
     - `t`, shape `(N,)`; `u` and `y`, as of [`replay`][];
     - `missing`: as of [`replay`][]. With `"coast"` a row of a hole is flagged, and its
       covariance is that of what the log tells from both sides; across a hole over which
@@ -70,14 +73,29 @@ def smooth(
     which needs no inverse of a covariance: Fraser, Potter 1969,
     doi:10.1109/TAC.1969.1099196.
     """
-    if not isinstance(observer, Lifted | Adaptive):
-        raise unlike("observer", observer, "a `Lifted` or an `Adaptive`")
+    inner = observer.observer if isinstance(observer, StateObserver) else observer
+    if not isinstance(inner, Lifted | Adaptive):
+        raise unlike("observer", inner, "a `Lifted` or an `Adaptive`")
     one_of("missing", missing, _choices.Missing)
     log, common = checked_log(t, u, y, missing=missing)
     coasts = missing == "coast"
-    if isinstance(observer, Lifted):
-        return smoothed(observer, log, common, coasts).judged(observer)
-    return smoothed_adaptive(_constant(observer), log, common, coasts)
+    if isinstance(inner, Adaptive):
+        return smoothed_adaptive(_constant(inner), log, common, coasts)
+    found = smoothed(inner, log, common, coasts)
+    whole = found.judged(inner)
+    return (
+        _decoded(observer, whole, found) if isinstance(observer, StateObserver) else whole
+    )
+
+
+def _decoded(observer: StateObserver, of: Estimate, found: Smoothed) -> Estimate:
+    """The estimates of the states of a model from those of the relation's x."""
+    _, y = found.signals
+    states = jax.vmap(observer.decoded)(of, y)
+    if observer.guard is None:
+        return states
+    known = jax.vmap(observer.guard.certified)(states.certificate)
+    return eqx.tree_at(lambda e: e.coasting, states, states.coasting | ~known)
 
 
 def _constant(observer: Adaptive) -> Adaptive:

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
 
     from ._choices import (
         Average as Average,
+        ContinuousEngine as ContinuousEngine,
         DesignName as DesignName,
         Engine as Engine,
         FilterStart as FilterStart,
@@ -34,12 +35,13 @@ else:
     # While it runs, a word or number that does not fit is refused by a check of its own,
     # with an error that says which ones do.
     Average = DesignName = Engine = FilterStart = Missing = Mode = str
-    RunningEngine = str
+    ContinuousEngine = RunningEngine = str
     Scale = Stopped = UsedMode = Winding = str
     Numbers = RealArray = HostArray = Any
 
 __all__ = [
     "Average",
+    "ContinuousEngine",
     "DesignName",
     "Engine",
     "FilterStart",

@@ -129,6 +129,9 @@ class _Decay(AbstractLaw):
         kept = jnp.exp(-self.low * h)  # at most, over an interval
         return Remembering(h, kept, kept)
 
+    def mapped(self, f: Callable[..., PyTree], *drives: PyTree) -> PyTree:
+        return drives[0]._replace(value=f(*(each.value for each in drives)))
+
     def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> PyTree:
         rate = v0.rate
         hold = scalar_hold(rate, jnp.asarray(coefficients.hold, rate.dtype))

@@ -1,7 +1,7 @@
 """Every benchmark, or those named on the command line. `--quick`: shorter ones of `pmsm`,
-`tuning` and `calibration`; `--install`: environments for `peers` that need their own;
-`--regime NAME`: of `quality`, that one alone; `--only NAME`: of `plants`, that machine;
-`--wrong`: `plants` with wrong parameters, too."""
+`continuous`, `tuning` and `calibration`; `--install`: environments for `peers` that need
+their own; `--regime NAME`: of `quality`, that one alone; `--only NAME`: of `plants`, that
+machine; `--wrong`: `plants` with wrong parameters, too."""
 
 import functools
 import sys
@@ -10,6 +10,8 @@ from . import (
     ablation,
     calibration,
     compile_time,
+    continuous,
+    explore,
     felt,
     import_time,
     peers,
@@ -30,6 +32,7 @@ FLAGS = {"--quick", "--install", "--wrong", *NAMED}
 quick = "--quick" in sys.argv
 BENCHMARKS = {
     "felt": felt.main,
+    "explore": explore.main,
     "import_time": import_time.main,
     "compile_time": compile_time.main,
     "quality": quality.main,
@@ -40,6 +43,7 @@ BENCHMARKS = {
     "calibration": functools.partial(calibration.main, quick),
     "systems": systems.main,
     "plants": plants.main,
+    "continuous": functools.partial(continuous.main, quick),
     "ablation": ablation.main,
     "peers": functools.partial(peers.main, "--install" in sys.argv),
     "pmsm": functools.partial(pmsm.main, quick),

@@ -36,8 +36,8 @@ WIDEST = 4  # vectors that are interleaved: 1, 2 or 4, the fastest counts
 
 def settings() -> dict[str, float]:
     """What the C source and the equations below call the parameters."""
-    decay, left, right = map(float, LowPass(RATE).discretise(INTERVAL))
-    smooth = [float(x) for x in LowPass(GAIN).discretise(INTERVAL)]
+    decay, left, right = (float(x) for x in LowPass(RATE).discretise(INTERVAL)[:3])
+    smooth = [float(x) for x in LowPass(GAIN).discretise(INTERVAL)[:3]]
     return {
         "interval": INTERVAL,
         "resistance": float(MOTOR.resistance),
@@ -180,7 +180,8 @@ def vector_field(resistance: float, magnet: float):
         z0, z1 = u0 - R * y0, u1 - R * y1
         d = 0.5 * (m * m / L - L * (y0 * y0 + y1 * y1))
         r0, r1, b = K0 - H * y0, K1 - H * y1, H * d + W
-        n0, n1 = abs(K0) + abs(H * y0), abs(K1) + abs(H * y1)
+        length = sqrt(K0 * K0 + K1 * K1) + H * sqrt(y0 * y0 + y1 * y1)
+        n0 = n1 = sqrt(0.5) * length
         det, size = M00 * M11 - M01 * M01, M00 * s1 + M11 * s0
         certificate = 2.0 * det / size if det > 0.0 and size > 0.0 else 0.0
         x0 = (M11 * v0 - M01 * v1) / det if certificate > 0.0 else 0.0

@@ -24,12 +24,13 @@ ROOT = Path(__file__).parents[1]
 COPIED = ("aslo_jax", "tests", "pyproject.toml", "README.md", "LICENSE")
 # The tests that speak of a module, the quick ones first: the first failure ends a mutant.
 TESTS = {
-    "_filters": "filters small realise oracle step sampled relations refused_values",
-    "_realise": "realise once step filters oracle sampled hidden_errors",
-    "_relations": "relations oracle once step refusals refused_values gradients",
-    "_completions": "guard two_rates oracle sampled step refused_values missing",
-    "_guard": "guard oracle step refused_values missing",
-    "_replay": "step once sampled refusals errors hidden_errors missing",
+    "_filters": "filters oracle sampled small realise step relations refused_values",
+    "_realise": "oracle realise once step filters sampled hidden_errors missing",
+    "_relations": "oracle relations sampled once refused_values refusals limits gradients",
+    "_swapped": "oracle sampled relations limits paced_rates",
+    "_completions": "oracle guard sampled two_rates limits refused_values missing",
+    "_guard": "oracle guard refused_values sampled missing",
+    "_replay": "sampled once step errors refusals hidden_errors missing",
 }
 # Not in the sample, since anything kills them: bitwise operators, which floating-point
 # numbers refuse, and the changes of `X | None` in an annotation.

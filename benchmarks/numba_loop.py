@@ -84,8 +84,8 @@ def _compiled():
             kJ = 1.5 * n * mag / (L * J)
             f0, f1, w, th, c, s = mag, 0.0, 0.0, 0.0, 1.0, 0.0
             tq = q0 = q1 = y0 = y1 = H = 0.0
-            K0 = K1 = W = r0 = r1 = b = n0 = n1 = 0.0
-            M00 = M01 = M11 = v0 = v1 = s0 = s1 = 0.0
+            K0 = K1 = W = r0 = r1 = b = N0 = 0.0
+            M00 = M01 = M11 = v0 = v1 = size = 0.0
             x0 = x1 = a0 = a1 = weight = 0.0
             ok = False
             if noisy:
@@ -133,30 +133,27 @@ def _compiled():
                     i0, i1 = i0 + deviation * e0, i1 + deviation * e1
                 H0 = H
                 H = dec * H + lefl + rigl
-                z00, z01, z10, z11 = u0 - R * y0, u1 - R * y1, u0 - R * i0, u1 - R * i1
+                m0, m1 = h * (u0 - 0.5 * R * (y0 + i0)), h * (u1 - 0.5 * R * (y1 + i1))
+                p0, p1 = 0.5 * m0 / L, 0.5 * m1 / L
                 D0 = mm - 0.5 * L * (y0 * y0 + y1 * y1)
                 D1 = mm - 0.5 * L * (i0 * i0 + i1 * i1)
-                left = K0 * z00 + K1 * z01 - lam * D0
-                A, B = H0 / (lam * L), H / (lam * L)
-                K0 = dec * K0 + lefl * (y0 + A * z00) + rigl * (i0 + B * z10)
-                K1 = dec * K1 + lefl * (y1 + A * z01) + rigl * (i1 + B * z11)
-                W = dec * W + lef * left + rig * (K0 * z10 + K1 * z11 - lam * D1)
+                W = dec * (W + (K0 + H0 * p0) * m0 + (K1 + H0 * p1) * m1) - rigl * D1
+                W += lefl * ((y0 + p0) * m0 + (y1 + p1) * m1 - D0)
+                K0 = dec * (K0 + 2.0 * H0 * p0) + lefl * (y0 + 2.0 * p0) + rigl * i0
+                K1 = dec * (K1 + 2.0 * H0 * p1) + lefl * (y1 + 2.0 * p1) + rigl * i1
                 g0, g1 = H * i0, H * i1
                 R0, R1, b1 = K0 - g0, K1 - g1, H * D1 + W
-                N0, N1 = abs(K0) + abs(g0), abs(K1) + abs(g1)
-                s0 = dec * s0 + lefl * (n0 * n0) + rigl * (N0 * N0)
-                s1 = dec * s1 + lefl * (n1 * n1) + rigl * (N1 * N1)
-                l0 = lam * r0 * b + M00 * z00 + M01 * z01
-                l1 = lam * r1 * b + M01 * z00 + M11 * z01
+                N1 = sqrt(K0 * K0 + K1 * K1) + sqrt(g0 * g0 + g1 * g1)
+                size = dec * size + 0.5 * (lefl * (N0 * N0) + rigl * (N1 * N1))
+                seen = lefl * (b + r0 * m0 + r1 * m1)
+                v0 = dec * (v0 + M00 * m0 + M01 * m1) + seen * r0 + rigl * (R0 * b1)
+                v1 = dec * (v1 + M01 * m0 + M11 * m1) + seen * r1 + rigl * (R1 * b1)
                 M00 = dec * M00 + lefl * (r0 * r0) + rigl * (R0 * R0)
                 M01 = dec * M01 + lefl * (r0 * r1) + rigl * (R0 * R1)
                 M11 = dec * M11 + lefl * (r1 * r1) + rigl * (R1 * R1)
-                v0 = dec * v0 + lef * l0 + rig * (lam * R0 * b1 + M00 * z10 + M01 * z11)
-                v1 = dec * v1 + lef * l1 + rig * (lam * R1 * b1 + M01 * z10 + M11 * z11)
-                r0, r1, b, n0, n1 = R0, R1, b1, N0, N1
+                r0, r1, b, N0 = R0, R1, b1, N1
                 det = M00 * M11 - M01 * M01
-                sure = 2.0 * det > threshold * (M00 * s1 + M11 * s0)
-                m0, m1 = 0.5 * h * (z00 + z10), 0.5 * h * (z01 + z11)
+                sure = 2.0 * det > threshold * size * (M00 + M11)
                 X0, X1, A0, A1 = x0 + m0, x1 + m1, a0 + m0, a1 + m1
                 if sure:
                     X0, X1 = (M11 * v0 - M01 * v1) / det, (M00 * v1 - M01 * v0) / det

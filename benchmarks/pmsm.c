@@ -69,7 +69,6 @@ INLINE void block(
   const double bcL = bc * L, hbcR = h * bc * R, hbc = h * bc, hnp = h * np;
   const double lam = p->rate, dec = p->decay, lef = p->left, rig = p->right;
   const double lefl = lef * lam, rigl = rig * lam, ones = (lef + rig) * lam;
-  const double perlamL = 1.0 / (lam * L);
   const double loadJ = p->load * perJ, mm = 0.5 * m * m * perL;
   const vec zero = {0};
 
@@ -77,8 +76,8 @@ INLINE void block(
   V(f0); V(f1); V(w); V(th); V(c); V(s);       /* flux, speed, electrical angle */
   V(tq); V(q0); V(q1); V(u0); V(u1);           /* controller, held voltage */
   V(y0); V(y1);                                /* measured current */
-  V(K0); V(K1); V(W); V(r0); V(r1); V(b); V(n0); V(n1);
-  V(M00); V(M01); V(M11); V(v0); V(v1); V(s0); V(s1);
+  V(K0); V(K1); V(W); V(r0); V(r1); V(b); V(N);
+  V(M00); V(M01); V(M11); V(v0); V(v1); V(whole);
   V(x0); V(x1); V(a0); V(a1); V(weight);       /* ASLO, A-ASLO and its weight */
   mask ok[BLOCKS];
   words k0[BLOCKS / PAIR], k1[BLOCKS / PAIR];
@@ -92,8 +91,8 @@ INLINE void block(
     f1[i] = w[i] = th[i] = s[i] = zero;
     c[i] = zero + 1.0;
     tq[i] = q0[i] = q1[i] = y0[i] = y1[i] = zero;
-    K0[i] = K1[i] = W[i] = r0[i] = r1[i] = b[i] = n0[i] = n1[i] = zero;
-    M00[i] = M01[i] = M11[i] = v0[i] = v1[i] = s0[i] = s1[i] = zero;
+    K0[i] = K1[i] = W[i] = r0[i] = r1[i] = b[i] = N[i] = zero;
+    M00[i] = M01[i] = M11[i] = v0[i] = v1[i] = whole[i] = zero;
     x0[i] = x1[i] = a0[i] = a1[i] = weight[i] = zero;
     ok[i] = more(zero, zero);
   }
@@ -170,34 +169,28 @@ INLINE void block(
     if (noisy) normal(k0, k1, (uint32_t)(k + 1), e0, e1);
     FOR {
       MEASURE
-      vec z00 = u0[i] - R * y0[i], z01 = u1[i] - R * y1[i];
-      vec z10 = u0[i] - R * i0, z11 = u1[i] - R * i1;
+      vec m0 = h * u0[i] - (0.5 * h * R) * (y0[i] + i0), p0 = (0.5 * perL) * m0;
+      vec m1 = h * u1[i] - (0.5 * h * R) * (y1[i] + i1), p1 = (0.5 * perL) * m1;
       vec d0 = mm - 0.5 * L * (y0[i] * y0[i] + y1[i] * y1[i]);
       vec d1 = mm - 0.5 * L * (i0 * i0 + i1 * i1);
-      vec left = K0[i] * z00 + K1[i] * z01 - lam * d0;
-      K0[i] = dec * K0[i] + lefl * (y0[i] + (H0 * perlamL) * z00)
-            + rigl * (i0 + (H * perlamL) * z10);
-      K1[i] = dec * K1[i] + lefl * (y1[i] + (H0 * perlamL) * z01)
-            + rigl * (i1 + (H * perlamL) * z11);
-      W[i] = dec * W[i] + lef * left + rig * (K0[i] * z10 + K1[i] * z11 - lam * d1);
+      vec a0i = H0 * p0, a1i = H0 * p1, c0 = y0[i] + p0, c1 = y1[i] + p1;
+      W[i] = dec * (W[i] + (K0[i] + a0i) * m0 + (K1[i] + a1i) * m1)
+           + lefl * (c0 * m0 + c1 * m1 - d0) - rigl * d1;
+      K0[i] = dec * (K0[i] + 2.0 * a0i) + lefl * (c0 + p0) + rigl * i0;
+      K1[i] = dec * (K1[i] + 2.0 * a1i) + lefl * (c1 + p1) + rigl * i1;
       vec g0 = H * i0, g1 = H * i1;
       vec R0 = K0[i] - g0, R1 = K1[i] - g1, B = H * d1 + W[i];
-      vec N0 = size(K0[i]) + size(g0), N1 = size(K1[i]) + size(g1);
-      s0[i] = dec * s0[i] + lefl * (n0[i] * n0[i]) + rigl * (N0 * N0);
-      s1[i] = dec * s1[i] + lefl * (n1[i] * n1[i]) + rigl * (N1 * N1);
-      vec l0 = lam * r0[i] * b[i] + M00[i] * z00 + M01[i] * z01;
-      vec l1 = lam * r1[i] * b[i] + M01[i] * z00 + M11[i] * z01;
+      vec N1 = root(K0[i] * K0[i] + K1[i] * K1[i]) + root(g0 * g0 + g1 * g1);
+      whole[i] = dec * whole[i] + (0.5 * lefl) * (N[i] * N[i]) + (0.5 * rigl) * (N1 * N1);
+      vec seen = lefl * (b[i] + r0[i] * m0 + r1[i] * m1);
+      v0[i] = dec * (v0[i] + M00[i] * m0 + M01[i] * m1) + seen * r0[i] + rigl * (R0 * B);
+      v1[i] = dec * (v1[i] + M01[i] * m0 + M11[i] * m1) + seen * r1[i] + rigl * (R1 * B);
       M00[i] = dec * M00[i] + lefl * (r0[i] * r0[i]) + rigl * (R0 * R0);
       M01[i] = dec * M01[i] + lefl * (r0[i] * r1[i]) + rigl * (R0 * R1);
       M11[i] = dec * M11[i] + lefl * (r1[i] * r1[i]) + rigl * (R1 * R1);
-      v0[i] = dec * v0[i] + lef * l0
-            + rig * (lam * R0 * B + M00[i] * z10 + M01[i] * z11);
-      v1[i] = dec * v1[i] + lef * l1
-            + rig * (lam * R1 * B + M01[i] * z10 + M11[i] * z11);
-      r0[i] = R0; r1[i] = R1; b[i] = B; n0[i] = N0; n1[i] = N1;
+      r0[i] = R0; r1[i] = R1; b[i] = B; N[i] = N1;
       vec det = M00[i] * M11[i] - M01[i] * M01[i], per = 1.0 / det;
-      mask sure = more(2.0 * det, p->threshold * (M00[i] * s1[i] + M11[i] * s0[i]));
-      vec m0 = (0.5 * h) * (z00 + z10), m1 = (0.5 * h) * (z01 + z11);
+      mask sure = more(2.0 * det, p->threshold * (whole[i] * (M00[i] + M11[i])));
       vec X0 = pick(sure, (M11[i] * v0[i] - M01[i] * v1[i]) * per, x0[i] + m0);
       vec X1 = pick(sure, (M00[i] * v1[i] - M01[i] * v0[i]) * per, x1[i] + m1);
       /* A-ASLO: along the model, then towards the estimate. */

@@ -31,6 +31,67 @@ cutoff = 120.0
 pll_bandwidth = 150.0
 """
 
+MOTOR = MACHINE[: MACHINE.index("[observer]")]
+# What a machine may say of its observer, beside the above.
+OBSERVERS = {
+    "lifted": """[observer]
+kind = "lifted_kalman"
+output_deviation = 0.01
+input_deviation = 0.1
+prior = 0.2
+""",
+    "adaptive": """[observer]
+kind = "adaptive"
+output_deviation = 0.01
+input_deviation = 0.1
+parameters = ["resistance", "magnet_flux"]
+deviations = { resistance = 0.5, magnet_flux = 0.02 }
+""",
+    "scheduled": """[observer]
+cutoff = { per_speed = 0.6, low = 8.0, high = 300.0 }
+forgetting = { per_speed = 1.6, low = 8.0, high = 300.0, bandwidth = 50.0 }
+""",
+}
+MODEL = """
+import aslo_jax as aslo
+
+motor = aslo.Model(
+    f=lambda x, y, u, p: [(p["K"] * y[0] - p["b"] * x[0]) / p["J"]],
+    g=lambda x, y, u, p: [(u[0] - p["R"] * y[0] - p["K"] * x[0]) / p["L"]],
+    states={"speed": (-200, 200)},
+    outputs={"u_beta": (-5, 5)},
+    inputs={"u_alpha": (-12, 12)},
+    parameters={"L": 4e-3, "R": 0.9, "K": 0.06, "J": 3e-4, "b": 2e-4},
+)
+"""
+DERIVED = """
+[machine]
+kind = "derived"
+model = "plant:motor"
+
+[machine.parameters]
+R = 1.1
+
+[observer]
+cutoff = 30.0
+"""
+# Each line of a model, and what it may be by mistake.
+MODELS = [
+    ("u[0]", "u[7]"),
+    ('p["R"]', 'p["Q"]'),
+    ('x[0]) / p["L"]', 'abs(x[0])) / p["L"]'),
+    ('{"speed": (-200, 200)}', '{"speed": (200, -200)}'),
+    ('{"speed": (-200, 200)}', '{"sp eed": (-1, 1)}'),
+    ("4e-3", 'float("nan")'),
+    ("4e-3", "0.0"),
+    ("lambda x, y, u, p: [(u", "lambda x, y, u: [(u"),
+    ("aslo.Model(", "dict("),
+    ("import aslo_jax as aslo", "import nothing_like_this"),
+    ("import aslo_jax as aslo", "raise KeyError(3)"),
+    ("motor = ", "motor = ("),
+    ("motor = ", "other = "),
+]
+
 NUMBERS = ["nan", "inf", "-inf", "1e308", "-1", "0", "1e-320", "-0.0", "1e400", "0x10"]
 CELLS = [
     *NUMBERS,
@@ -308,6 +369,51 @@ def bad_options(random: np.random.Generator) -> list[str]:
     return found
 
 
+EXPORTS: dict[str, list[str]] = {
+    "--target": ["c", "fmu4", "", "C"],
+    "--interval": [*NUMBERS, "1e-4", "1e6"],
+    "--dtype": ["float32", "float16", "double", ""],
+    "--name": ["a b", "1a", "for", "main", "x" * 300, "", "µ", "double"],
+    "--cutoff": [*NUMBERS, "text"],
+    "--substeps": ["0", "-1", "2", "1.5", "1000000000"],
+    "--missing": ["coast", "interpolate", "nothing"],
+    "--fixed": ["all", "resistance", "nothing", ""],
+    "--variable-interval": [],
+}
+
+
+def bad_export(random: np.random.Generator, machine: Path, out: Path) -> list[str]:
+    found = ["export", str(machine), "--out", str(out)]
+    if random.integers(2):
+        found += ["--interval", "1e-4"]
+    for _ in range(int(random.integers(0, 3))):
+        name = list(EXPORTS)[int(random.integers(len(EXPORTS)))]
+        found += [name, *([str(random.choice(EXPORTS[name]))] if EXPORTS[name] else [])]
+    return found
+
+
+def newer_case(random: np.random.Generator, folder: Path, log: Path) -> list[str]:
+    """Kinds of observers, models of one's own, and programs for a drive."""
+    machine, out = folder / "m.toml", folder / "out"
+    kind = int(random.integers(6))
+    text = MOTOR + OBSERVERS[str(random.choice(list(OBSERVERS)))]
+    if kind == 5:
+        before, after = MODELS[int(random.integers(len(MODELS)))]
+        (folder / "plant.py").write_text(MODEL.replace(before, after))
+        return ["derive", f"{folder / 'plant.py'}:motor", "--out", str(folder / "out.toml")]
+    if kind == 4:
+        (folder / "plant.py").write_text(MODEL)
+        text = DERIVED
+    elif kind == 3:
+        machine.write_text(MACHINE)
+        return bad_export(random, machine, out)
+    bad_toml(random, text, machine)
+    if random.integers(4) == 0:
+        return bad_export(random, machine, out)
+    table = folder / "out.csv"
+    return ["estimate", str(log), "--machine", str(machine), "--out", str(table)]
+
+
 def case(number: int, folder: Path) -> list[str]:
     """The arguments of one bad use of the command line, whose outputs are in `folder`."""
     random = np.random.default_rng(number)
@@ -315,7 +421,7 @@ def case(number: int, folder: Path) -> list[str]:
     log.write_text("\n".join(",".join(row) for row in as_text(motor_log())))
     machine.write_text(MACHINE)
     study.write_text(SMALL)
-    kind = int(random.integers(20))
+    kind = int(random.integers(26))
     options: list[str] = []
     if kind < 9:
         log = bad_log(random, folder) if kind < 6 else damaged_log(random, folder)
@@ -325,6 +431,8 @@ def case(number: int, folder: Path) -> list[str]:
         machine = bad_toml(random, MACHINE, machine)
     elif kind < 16:
         options = bad_options(random)
+    elif kind >= 20:
+        return newer_case(random, folder, log)
     else:
         study = bad_toml(random, SMALL, study)
         out = str(folder / "out")
@@ -380,6 +488,9 @@ def faults(number: int, folder: Path) -> list[str]:
     return [f"{number} {' '.join(arguments[3:])}: {each}" for each in found]
 
 
+FINITE = ("flux_alpha", "flux_beta", "theta_electrical", "speed")
+
+
 def _of_table(folder: Path, error: str) -> list[str]:
     """What is wrong with a table of estimates: numbers that are none where it does not say
     so."""
@@ -387,12 +498,13 @@ def _of_table(folder: Path, error: str) -> list[str]:
 
     (path,) = (p for p in folder.iterdir() if p.stem == "out")
     source = open_source(path)
-    names = ["flux_alpha", "flux_beta", "theta_electrical", "coasting"]
+    offered = list(source.names)
+    names = [n for n in FINITE if n in offered] + ["coasting"]
     table = {name: [] for name in names}
     for batch in source.batches(names, True):
         for name in names:
             table[name].append(np.asarray(batch[name], float))
     columns = {name: np.concatenate(x) for name, x in table.items()}
     trusted = columns["coasting"] == 0
-    bad = [n for n in names[:3] if not np.isfinite(columns[n][trusted]).all()]
+    bad = [n for n in names[:-1] if not np.isfinite(columns[n][trusted]).all()]
     return [f"trusts what is not finite in {bad}"] if bad and "finite" not in error else []

@@ -9,8 +9,13 @@ All in the paper's F[x], the low-pass filter lam/(p + lam), every one started fr
     b   = rho d + F[w'z / lam - d]             d = -(L/2) |i|^2
     M   = F[r r'],   v = F[r b + M z / lam]    flux = M^-1 v
 
-Over an interval the current is a line and the voltage is held. So z, and every product,
-has one value at the left end of the interval and another at its right end.
+F filters a sequence of samples, as if they were joined by lines. What is multiplied by the
+flux at the left end of an interval is carried to the flux at its right end, D more:
+
+    D = h (z0 + z1) / 2           the voltage is held, and the current is a line
+    q = D / L                     the change of the current that the flux alone would make
+
+so that r'flux = b holds at every sample, but for the error of D.
 """
 
 import math
@@ -55,23 +60,15 @@ def replay_loop(
     """One sample at a time; `substeps` cut each interval, with the current on its line."""
     R, L = resistance, inductance
     rho, w, f, M, v = 0.0, np.zeros(2), 0.0, np.zeros((2, 2)), np.zeros(2)
-    scale = np.zeros(2)
+    scale = 0.0
     memory = np.zeros(2)
     flux, certificate, coasting = [memory], [0.0], [True]
 
-    def inputs(z, i, rho, w, f, M):
-        """What each filter filters, from the outputs of the ones before it."""
+    def row(i, rho, w, f):
+        """The row, and what it is measured against: what it is the difference of."""
         d = -0.5 * L * (i @ i)
-        r, b = w - rho * i, rho * d + f
-        size = np.abs(w) + np.abs(rho * i)
-        return (
-            1.0,
-            i + rho * z / (lam * L),
-            w @ z / lam - d,
-            np.outer(r, r),
-            r * b + M @ z / lam,
-            size**2,
-        )
+        size = np.linalg.norm(w) + np.linalg.norm(rho * i)
+        return w - rho * i, rho * d + f, 0.5 * size**2
 
     for k in range(1, len(t)):
         h = (t[k] - t[k - 1]) / substeps
@@ -80,18 +77,18 @@ def replay_loop(
             i0 = y[k - 1] + j / substeps * (y[k] - y[k - 1])
             i1 = y[k - 1] + (j + 1) / substeps * (y[k] - y[k - 1])
             z0, z1 = u[k - 1] - R * i0, u[k - 1] - R * i1
-            x0 = inputs(z0, i0, rho, w, f, M)
-            # Inner filters first: the right end of an input needs them at that end.
-            rho = a * rho + left * x0[0] + right * 1.0
-            w = a * w + left * x0[1] + right * inputs(z1, i1, rho, w, f, M)[1]
-            f = a * f + left * x0[2] + right * inputs(z1, i1, rho, w, f, M)[2]
-            x1 = inputs(z1, i1, rho, w, f, M)
-            M = a * M + left * x0[3] + right * x1[3]
-            x1 = inputs(z1, i1, rho, w, f, M)
-            v = a * v + left * x0[4] + right * x1[4]
-            scale = a * scale + left * x0[5] + right * x1[5]
+            D = 0.5 * h * (z0 + z1)
+            q, (r0, b0, size0) = D / L, row(i0, rho, w, f)
+            f = a * (f + (w + 0.5 * rho * q) @ D) + left * (i0 + 0.5 * q) @ D
+            f += 0.5 * L * (left * i0 @ i0 + right * i1 @ i1)
+            w = a * (w + rho * q) + left * (i0 + q) + right * i1
+            rho = a * rho + left + right
+            r1, b1, size1 = row(i1, rho, w, f)
+            v = a * (v + M @ D) + left * r0 * (b0 + r0 @ D) + right * r1 * b1
+            M = a * M + left * np.outer(r0, r0) + right * np.outer(r1, r1)
+            scale = a * scale + left * size0 + right * size1
             unit = 1.0 / np.sqrt(scale)
-            information = M * np.outer(unit, unit)
+            information = M * unit**2
             # The harmonic mean of its eigenvalues; zero where rounding made it singular.
             eigenvalues = np.linalg.eigvalsh(information)
             mean = 2.0 / np.sum(1.0 / eigenvalues) if eigenvalues[0] > 0 else 0.0
@@ -117,38 +114,35 @@ def replay_cascade(
     """The flux for evenly spaced samples, one `scipy.signal.lfilter` for each filter of
     the cascade; without certificate and coasting, so not a number at the first sample."""
     R, L = resistance, inductance
-    a, left, right = hold_weights(lam, (t[-1] - t[0]) / (len(t) - 1))
+    h = (t[-1] - t[0]) / (len(t) - 1)
+    a, left, right = hold_weights(lam, h)
 
-    def F(x0, x1):
-        """F of a signal given at the left and at the right end of every interval."""
-        steps = left * x0 + right * x1
+    def F(x0, x1, carried=0.0):
+        """F of a signal given at the left and at the right end of every interval, with what
+        its own state is carried by."""
+        steps = left * x0 + right * x1 + a * carried
         out = scipy.signal.lfilter([1.0], [1.0, -a], steps)
         return np.concatenate([[0.0], out])
 
     ia, ib = y.T
-    za0, zb0 = (u[:-1] - R * y[:-1]).T
-    za1, zb1 = (u[:-1] - R * y[1:]).T
-    ends = slice(None, -1), slice(1, None)
-    first, last = ends
+    Da, Db = h * (u[:-1] - 0.5 * R * (y[:-1] + y[1:])).T
+    qa, qb = Da / L, Db / L
+    first, last = slice(None, -1), slice(1, None)
     rho = F(np.ones(len(t) - 1), np.ones(len(t) - 1))
-    g = rho / (lam * L)
-    wa = F(ia[first] + g[first] * za0, ia[last] + g[last] * za1)
-    wb = F(ib[first] + g[first] * zb0, ib[last] + g[last] * zb1)
+    wa = F(ia[first] + qa, ia[last], rho[first] * qa)
+    wb = F(ib[first] + qb, ib[last], rho[first] * qb)
     d = -0.5 * L * (ia * ia + ib * ib)
+    half = 0.5 * (qa * Da + qb * Db)
     f = F(
-        (wa[first] * za0 + wb[first] * zb0) / lam - d[first],
-        (wa[last] * za1 + wb[last] * zb1) / lam - d[last],
+        ia[first] * Da + ib[first] * Db + half - d[first],
+        -d[last],
+        wa[first] * Da + wb[first] * Db + rho[first] * half,
     )
     ra, rb, b = wa - rho * ia, wb - rho * ib, rho * d + f
     Maa, Mab, Mbb = (F(s[first], s[last]) for s in (ra * ra, ra * rb, rb * rb))
-    va = F(
-        ra[first] * b[first] + (Maa[first] * za0 + Mab[first] * zb0) / lam,
-        ra[last] * b[last] + (Maa[last] * za1 + Mab[last] * zb1) / lam,
-    )
-    vb = F(
-        rb[first] * b[first] + (Mab[first] * za0 + Mbb[first] * zb0) / lam,
-        rb[last] * b[last] + (Mab[last] * za1 + Mbb[last] * zb1) / lam,
-    )
+    seen = b[first] + ra[first] * Da + rb[first] * Db
+    va = F(ra[first] * seen, ra[last] * b[last], Maa[first] * Da + Mab[first] * Db)
+    vb = F(rb[first] * seen, rb[last] * b[last], Mab[first] * Da + Mbb[first] * Db)
     # Cholesky: the determinant as a product would lose digits to cancellation first.
     slope = np.divide(Mab, Maa, out=np.zeros_like(Maa), where=Maa > 0)
     rest = Mbb - slope * Mab

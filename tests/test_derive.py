@@ -13,7 +13,6 @@ from derivable_case import Case, stacked
 
 import aslo_jax as aslo
 from aslo_jax._derive.lifted import lower
-from aslo_jax._derive.plant import ModelPlant
 from aslo_jax.derivation import derive
 
 COMPLETIONS = {"repeat": aslo.Repeat, "least-squares": aslo.LeastSquares}
@@ -151,12 +150,12 @@ def test_the_observer_finds_the_states_of_a_sampled_log(gain):
     case = CASES["dc_motor_from_current"]()
     found = derive(case.model)
     t = np.linspace(0.0, 0.5, 5001)
-    plant = ModelPlant(case.model)
+    plant = found.plant()
     ts, h = jnp.asarray(t), t[1]
 
     def step(s, t):
         u = stacked(case.drive(t + 0.5 * h))
-        f = lambda s: plant.vector_field(t, s, u)
+        f = lambda s: plant.drift(s, u)
         a = f(s)
         b = f(s + 0.5 * h * a)
         c = f(s + 0.5 * h * b)
@@ -169,3 +168,99 @@ def test_the_observer_finds_the_states_of_a_sampled_log(gain):
     estimate = aslo.replay(observer, t, np.asarray(u), np.asarray(s[:, 3:]))
     error = np.abs(np.asarray(estimate.value)[-1] / np.asarray(s)[-1, :3] - 1.0)
     assert error.max() < 1e-3
+
+
+def test_a_quotient_is_worth_nothing_where_it_is_of_zeros():
+    """A gain, from what it multiplies, which swings through zero: there the estimate coasts
+    and is not certified by what is known of its parts."""
+    found = derive(
+        aslo.Model(
+            lambda x, y, u: [3.0 * x[1], -3.0 * x[0], 0.0],
+            lambda x, y, u: [x[0], x[0] * x[2]],
+            states={"x": (-2, 2), "v": (-2, 2), "gain": (1, 3)},
+            outputs={"y": (-2, 2), "z": (-4, 4)},
+        )
+    )
+    assert {"x*gain", "v*gain"} <= set(found.lifted) and "gain" not in found.lifted
+    t = 1e-3 * np.arange(4000)
+    y = np.stack([1.1 * np.sin(3 * t), 2.2 * np.sin(3 * t)], axis=1) / 3.0
+    y = y + 1e-4 * np.random.default_rng(0).standard_normal(y.shape)
+    guard = aslo.Guard(threshold=1e-2)
+    observer = found.observer(aslo.LowPass(20.0), guard=guard)
+    estimate = aslo.replay(observer, t, np.zeros((4000, 0)), y)
+    late, coasting = t > 1.0, np.asarray(estimate.coasting)
+    error = np.abs(np.asarray(estimate.value)[:, 2] - 2.0)
+    assert 0.01 < coasting[late].mean() < 0.5
+    assert error[late].max() < 0.1
+    alone = found.observer(aslo.LowPass(20.0), guard=None)
+    error = np.abs(
+        np.asarray(aslo.replay(alone, t, np.zeros((4000, 0)), y).value)[:, 2] - 2
+    )
+    assert error[late].max() > 0.2
+
+
+def test_a_mechanical_system_has_the_rule_of_its_structure(capsys, tmp_path):
+    """The same observer, with the same operations, and its machine."""
+    system = aslo.plants.BallBeam(length=1.2)
+    found = derive(system)
+    assert found.states == ("qdot1", "qdot2") and "q2', then q1'" in str(found)
+    by_rule = aslo.velocity_observer(system, aslo.LowPass(9.0))
+    same = jax.tree.map(np.array_equal, found.observer(aslo.LowPass(9.0)), by_rule)
+    assert all(jax.tree.leaves(same))
+    inertia = lambda q: 1.5 + jnp.sin(q)
+    with pytest.raises(aslo.StructureError, match="depends on q1"):
+        derive(aslo.plants.MechanicalSystem(inertia, position=[0.0, 0.0]))
+    with pytest.raises(ValueError, match="must be left out"):
+        derive(CASES["buck"]().model, region=([0.0], [1.0]))
+
+
+def test_momenta_hold_for_other_parameters_and_everywhere():
+    """The inertia that a model divides by is the integrating factor, in closed form: its
+    parameters stay free, and no range limits it."""
+    model = aslo.Model(
+        lambda x, y, u, p: [
+            y[0] * x[1] ** 2 - p["g"] * jnp.sin(y[1]),
+            (u[0] - 2 * y[0] * x[0] * x[1] - p["g"] * y[0] * jnp.cos(y[1]))
+            / (p["L"] ** 2 + y[0] ** 2),
+        ],
+        lambda x, y, u: x,
+        states={"ball": (-1, 1), "beam": (-1, 1)},
+        outputs={"q1": (-0.5, 0.5), "q2": (-0.5, 0.5)},
+        inputs={"torque": (-5, 5)},
+        parameters={"L": 1.2, "g": 9.81},
+    )
+    found = derive(model)
+    assert found.lifted == ("ball", "beam~", "beam~*beam~")
+    assert set(found.relation.parameters) == {"L", "g"}
+    other = dataclasses.replace(
+        found.relation, parameters=found.relation.parameters | {"L": jnp.asarray(2.0)}
+    )
+    u, y, v = jnp.array([0.7]), jnp.array([3.0, 0.4]), jnp.array([0.3, -0.8])
+    momentum = (4.0 + y[0] ** 2) * v[1]
+    X = jnp.stack([v[0], momentum, momentum**2])
+    terms = other(u, y)
+    torque = u[0] - 9.81 * y[0] * jnp.cos(y[1])
+    expected = [y[0] * v[1] ** 2 - 9.81 * jnp.sin(y[1]), torque, 2 * momentum * torque]
+    np.testing.assert_allclose(terms.A @ X + terms.z, expected, rtol=1e-9)
+    weights = np.asarray(terms.s) / np.asarray(y)
+    np.testing.assert_allclose(terms.C @ X - terms.d, weights * v, rtol=1e-9)
+
+
+def test_a_factor_that_the_model_does_not_have_is_a_series():
+    """`x' = -cos(y) x y'`: exp(sin y) x does not change. Beyond its range it is no number."""
+    found = derive(
+        aslo.Model(
+            lambda x, y, u: [-jnp.cos(y[0]) * x[0] ** 2],
+            lambda x, y, u: [x[0]],
+            states={"x": (0.5, 2.0)},
+            outputs={"y": (-2.0, 2.0)},
+        )
+    )
+    assert found.lifted == ("x~",) and not found.proved
+    y = jnp.array([[1.7], [-0.4]])
+    lifted = found.lift(jnp.ones((2, 1)), y)[:, 0]
+    ratio = np.exp(np.sin(1.7) - np.sin(-0.4))
+    assert lifted[0] / lifted[1] == pytest.approx(ratio, rel=1e-12)
+    terms = found.relation(jnp.zeros(0), y[0])
+    assert terms.A is None and float(terms.z[0]) == 0.0
+    assert np.isnan(found.relation(jnp.zeros(0), jnp.array([2.6])).c).all()

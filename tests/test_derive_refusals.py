@@ -105,6 +105,31 @@ FOUND = {
         lambda x, y: jnp.where(y > 1.99999, x[0] ** 2, x[0]),
         ("x0", "x0*x0"),
     ),
+    "rare maximum": (
+        lambda x, y: x[0] + jnp.maximum(y - 1.99999, 0.0) * x[0] ** 2,
+        ("x0", "x0*x0"),
+    ),
+    "rare comparison": (lambda x, y: x[0] + (y > 1.99999) * x[0] ** 2, ("x0", "x0*x0")),
+    "rare step": (lambda x, y: x[0] + jnp.floor(0.50001 * y) * x[0] ** 2, ("x0", "x0*x0")),
+    "rare integer": (
+        lambda x, y: x[0] + (0.50001 * y).astype(int) * x[0] ** 2,
+        ("x0", "x0*x0"),
+    ),
+    "rare row of a table": (
+        lambda x, y: (
+            x[0]
+            + jnp.interp(y, jnp.array([0.0, 1.9999, 2]), jnp.array([0.0, 0, 1])) * x[0] ** 2
+        ),
+        ("x0", "x0*x0"),
+    ),
+    "number that is too small": (
+        lambda x, y: x[0] + jnp.exp(1e6 * (y - 2.0)) * x[0] ** 2,
+        ("x0", "x0*x0"),
+    ),
+    "branch that is seldom a number": (
+        lambda x, y: jnp.where(y < 0.50001, jnp.sqrt(0.50001 - y) * x[0] ** 2, x[0]),
+        ("x0", "x0*x0"),
+    ),
     "cancelled square": (lambda x, y: (x[0] - y) ** 2 - x[0] ** 2, ("x0",)),
     "small square": (lambda x, y: 1e-13 * x[0] ** 2 + y * x[0], ("x0", "x0*x0")),
     "loop": (
@@ -140,6 +165,23 @@ def test_polynomials_are_seen_through(name):
     """Also where jacobians at random points see something else."""
     function, lifted = FOUND[name]
     assert derive(of_output(function, 1 if "x1" not in str(lifted) else 2)).lifted == lifted
+
+
+def test_a_parameter_that_is_zero_is_no_longer_free():
+    """With another value the relation would lack a term."""
+
+    def model(drag):
+        return Model(
+            lambda x, y, u, p: [-p["damping"] * x[0] - p["drag"] * x[0] ** 2],
+            lambda x, y, u, p: [x[0]],
+            states={"v": (0.0, 2.0)},
+            outputs={"q": (-1.0, 1.0)},
+            parameters={"damping": 0.7, "drag": drag},
+        )
+
+    found = derive(model(0.0))
+    assert not found.proved and not found.relation.parameters and found.lifted == ("v",)
+    assert derive(model(0.1)).lifted == ("v~",)
 
 
 def test_a_condition_guards_what_is_not_finite():
@@ -195,3 +237,20 @@ def test_a_primitive_that_is_not_known_is_refused_by_its_line():
 
     with pytest.raises(aslo.NotFusible, match=r"test_derive_refusals\.py"):
         derive(of_output(lambda x, y: called(x[0])))
+
+
+WRONG = {
+    "if": (lambda x, y, u, p: [x[0] if y[0] > 0 else -x[0]], "use `jnp.where`"),
+    "numpy": (lambda x, y, u, p: [np.sin(y[0]) * x[0]], "functions of `jax.numpy`"),
+    "entry": (lambda x, y, u, p: [u[0] * x[0]], "IndexError"),
+    "name": (lambda x, y, u, p: [p["drag"] * x[0]], "KeyError: 'drag'"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_function_that_fails_is_told_by_its_line(name):
+    function, expected = WRONG[name]
+    ranges = {"states": {"x": (0.5, 2.0)}, "outputs": {"y": (0.5, 2.0)}}
+    with pytest.raises(ValueError, match="Argument `f`") as caught:
+        derive(Model(function, lambda x, y, u: [x[0]], **ranges))
+    assert expected in str(caught.value) and "test_derive_refusals.py:" in str(caught.value)

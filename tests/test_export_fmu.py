@@ -8,7 +8,7 @@ import pytest
 from compiled_c import Compiled, compiler, rows_of
 from exported_motor import LOG, MOTOR, command, export_motor
 
-from aslo_jax.export._fmu import _built
+from aslo_jax.export._fmu import _built, this_platform
 from aslo_jax.logs import read_log
 
 fmpy = pytest.importorskip("fmpy")
@@ -168,8 +168,58 @@ def test_the_command_writes_one_and_other_versions_are_refused(made, tmp_path):
 def test_a_compiler_that_fails_or_is_absent_is_named(monkeypatch):
     assert compiler()
     with pytest.raises(OSError, match="The C compiler failed"):
-        _built({"x.c": "int f( { return 0; }"})
+        _built({"x.c": "int f( { return 0; }"}, this_platform())
     monkeypatch.setattr(shutil, "which", lambda name: None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(OSError, match="pip install ziglang"):
-        _built({"x.c": "int f(void);"})
+    with pytest.raises(OSError, match='install one, or "pip install ziglang"'):
+        _built({"x.c": "int f(void);"}, this_platform())
+    with pytest.raises(OSError, match=r'for aarch64-darwin in it, .* that: "pip install'):
+        _built({"x.c": "int f(void);"}, "aarch64-darwin")
+
+
+def test_platforms_that_are_not_known_are_refused(made, tmp_path, capsys):
+    with pytest.raises(ValueError, match="`platforms` must hold names of x86_64-linux"):
+        made.write_fmu(tmp_path / "x.fmu", 3, ["vax-vms"])
+    given = ("export", MOTOR, "--interval", H, "--out", tmp_path)
+    assert command(*given, "--platform", "x86_64-windows") == 2
+    assert "give --target fmu3" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture
+def ziglang_alone(monkeypatch):
+    """As where there is no other C compiler."""
+    pytest.importorskip("ziglang", reason="ziglang, a C compiler of 100 MB")
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+
+
+@pytest.mark.slow
+def test_the_compiler_of_the_wheel_gives_the_same_numbers(
+    made, log, expected, ziglang_alone, tmp_path
+):
+    path = made.write_fmu(tmp_path / "motor.fmu", 3)
+    found = simulated(path, log)
+    np.testing.assert_allclose(found[1:], expected[:-1], rtol=1e-12, atol=1e-15)
+
+
+# What a shared library of each system begins with. Windows is left out: its first one takes
+# a minute.
+MAGIC = {
+    "aarch64-linux": b"\x7fELF\x02\x01",
+    "x86_64-darwin": b"\xcf\xfa\xed\xfe\x07\x00\x00\x01",
+    "aarch64-darwin": b"\xcf\xfa\xed\xfe\x0c\x00\x00\x01",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", [2, 3])
+def test_binaries_for_other_platforms(version, made, ziglang_alone, tmp_path):
+    path = made.write_fmu(tmp_path / "motor.fmu", version, list(MAGIC))
+    with zipfile.ZipFile(path) as archive:
+        for name, magic in MAGIC.items():
+            folder = "darwin64" if (version, name) == (2, "x86_64-darwin") else name
+            suffix = ".so" if name.endswith("linux") else ".dylib"
+            content = archive.read(f"binaries/{folder}/motor{suffix}")
+            assert content.startswith(magic)
+            assert f"fmi{version}DoStep".encode() in content
+    assert validate_fmu(str(path)) == []

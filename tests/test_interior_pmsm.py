@@ -140,7 +140,9 @@ def test_order_two_when_sampled(forget):
         value = aslo.replay(observer, t, u, y).value
         error = jnp.linalg.norm(value - jax.vmap(m.flux)(t), axis=1)
         errors.append(jnp.sqrt(jnp.mean(error[(t > 0.6) & (t <= 1.0)] ** 2)))
-    assert 1.9 < np.log2(errors[0] / errors[1]) < 2.1, errors
+    # Of the flux that is fed back alone; the rows have none.
+    assert errors[0] < 1e-7
+    assert np.log2(errors[0] / errors[1]) > 1.9, errors
 
 
 def test_a_start_that_is_forgotten_is_a_guess_until_then():

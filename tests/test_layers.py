@@ -27,6 +27,7 @@ PHASES = (
     {"_llvm", "_c"},
     {"_runtime"},
     {"_fused"},
+    {"_adaptive"},
     {"_batch"},
 )
 

@@ -246,6 +246,52 @@ def test_smoothing_knows_that_the_noise_of_y_is_in_the_state():
     np.testing.assert_allclose(found.covariance[:, 0, 0], variance, rtol=1e-7)
 
 
+class Fed(eqx.Module):
+    """A rate that the noise of the input enters itself, and by that of x; as a row of
+    several."""
+
+    def __call__(self, u, y):
+        one = jnp.ones((1, 1))
+        d = 1.5 * u - 3.0 * y
+        return aslo.Rows(C=one, d=d[None], s=y[None], z=2.0 * u[None])
+
+
+def fed_batch(u, y, h, prior):
+    """As `spring_batch`: the noise of u is in x and in sigma, that of y in sigma, too."""
+    count, size = len(y), 2 * len(y)
+    one = np.eye(size)
+    sigma, x = (SY * one[0], y[0]), (prior * one[1], 0.0)
+    rows, values, found = [], [], [x]
+    for k in range(1, count):
+        w, n = one[2 * k], one[2 * k + 1]
+        noise, shift = -2.0 * h * SU * w, 2.0 * h * u[k - 1]
+        own = h * (1.5 * SU * w - 3.0 * SY * n) + 0.5 * h * noise
+        d = 0.5 * h * (3.0 * u[k - 1] - 3.0 * y[k - 1] - 3.0 * y[k])
+        sigma = (sigma[0] + h * x[0] + own, sigma[1] + h * x[1] + 0.5 * h * shift - d)
+        x = (x[0] + noise, x[1] + shift)
+        found.append(x)
+        rows.append(sigma[0] + SY * n)
+        values.append(y[k] - sigma[1])
+    A = np.array(rows)
+    K = A.T @ np.linalg.inv(A @ A.T)
+    best, S = K @ np.array(values), one - K @ A
+    return (
+        np.array([g @ best + s for g, s in found]),
+        np.array([g @ S @ g for g, _ in found]),
+    )
+
+
+def test_the_noise_of_an_input_enters_a_rate():
+    h, count, prior = 0.03, 50, 1.7
+    rng = np.random.default_rng(6)
+    u, y = rng.standard_normal(count), 0.1 * rng.standard_normal(count)
+    observer = aslo.Lifted(Fed(), SY, SU, prior=prior)
+    found = aslo.smooth(observer, h * np.arange(count), u, y)
+    expected, variance = fed_batch(u, y, h, prior)
+    np.testing.assert_allclose(found.value[:, 0], expected, atol=1e-9)
+    np.testing.assert_allclose(found.covariance[:, 0, 0], variance, rtol=1e-7)
+
+
 class TwoRows(eqx.Module):
     """x1, and a mixture of x and a second sensor, which share the noise of the first."""
 

@@ -15,7 +15,7 @@ from aslo_jax import plants
 from aslo_jax._studies import ready_made
 from aslo_jax.derivation import model_of
 from aslo_jax.machines import studies
-from aslo_jax.machines._derived import load_model
+from aslo_jax.machines._derived_study import load_model
 from aslo_jax.machines._modelled import PLANTS
 from aslo_jax.observers import Luenberger
 from aslo_jax.study._config import ConfigurationError, configure

@@ -1,6 +1,7 @@
 """The notebooks run from the first cell to the last, and draw what they promise."""
 
 import ast
+import copy
 import re
 from pathlib import Path
 
@@ -21,12 +22,37 @@ def slow(name):
 CASES = [pytest.param(*case, marks=slow(case[0])) for case in FIGURES.items()]
 
 
+NUMBER = re.compile(r"[-+]?\d+(\.\d*)?(e[-+]?\d+)?|\binf\b|\bnan\b")
+
+
+def words_of(notebook):
+    """What it prints, number by number as signs, since the last digits are the machine's;
+    neither warnings nor how a table in a notebook is drawn."""
+    texts = [
+        out["text"]
+        for cell in notebook.cells
+        for out in cell.get("outputs", [])
+        if out.get("name") == "stdout"
+    ]
+    return [NUMBER.sub("#", text).split() for text in texts]
+
+
+def pictures_of(notebook):
+    """How many pictures each cell shows."""
+    return [
+        sum("image/png" in out.get("data", {}) for out in cell.get("outputs", []))
+        for cell in notebook.cells
+    ]
+
+
 @pytest.mark.parametrize(("name", "figures"), CASES)
 def test_notebook(name, figures):
     notebook = nbformat.read(NOTEBOOKS / f"{name}.ipynb", as_version=4)
-    assert not any(cell.get("outputs") for cell in notebook.cells), "saved with outputs"
+    stored = copy.deepcopy(notebook)
     resources = {"metadata": {"path": str(NOTEBOOKS)}}
     NotebookClient(notebook, timeout=240, resources=resources).execute()
+    assert pictures_of(notebook) == pictures_of(stored), "python -m website notebooks"
+    assert words_of(notebook) == words_of(stored), "python -m website notebooks"
     outputs = [out for cell in notebook.cells for out in cell.get("outputs", [])]
     assert sum("image/png" in out.get("data", {}) for out in outputs) == figures
     assert not [out["text"] for out in outputs if out.get("name") == "stderr"]

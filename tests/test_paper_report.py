@@ -15,6 +15,7 @@ from aslo_jax.paper._claims import Above, Below, Claim, Near, to_csv, to_markdow
 from aslo_jax.paper._report import Table, files
 from aslo_jax.paper._section3 import settling
 from aslo_jax.paper._settled import settled, settled_text
+from aslo_jax.plot._figure import Figure
 
 
 def test_settling_peaks_and_final_errors_of_an_exponential():
@@ -59,6 +60,31 @@ def test_run_dispatches_to_the_section(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "a.md").read_bytes() == b"content"
     assert [path.name for path in tmp_path.iterdir()] == ["a.md"]
     assert capsys.readouterr().out == "summary\n"
+
+
+def test_all_sections_have_an_index(tmp_path, monkeypatch, capsys):
+    report = lambda: ({"a.md": b"content"}, "a table\n2 claims: 2 confirmed.")
+    monkeypatch.setattr(paper, "_experiments", lambda section: report)
+    paper.run("all", tmp_path)
+    for section in paper.SECTIONS:
+        assert (tmp_path / f"section_{section}" / "a.md").read_bytes() == b"content"
+    assert (tmp_path / "index.md").read_text().splitlines()[2] == (
+        "- [Section 2](section_2/index.md): 2 claims: 2 confirmed. "
+        "[Claims](section_2/claims.md)"
+    )
+    assert capsys.readouterr().out.count("a table") == 3
+
+
+def test_figures_are_written_as_pdf_with_letters_of_type_42():
+    def draw(figure):
+        figure.subplots().set(xlabel="time (s)")
+
+    figure = Figure("one", "What it is.", {"t_s": np.zeros(2)}, draw, (3.0, 2.0))
+    claim = Claim("a claim", "3", "It is so.", "what", 1.0, "m", Below(2.0))
+    content, _ = files("Title", "Notes.", [figure], [claim])
+    assert b"/CIDFontType2" in content["one.pdf"] and b"/Type3" not in content["one.pdf"]
+    assert content["one.png"] == figure.png()
+    assert b"[one.pdf](one.pdf)" in content["index.md"]
 
 
 def claim(measured, printed, corrected=None):

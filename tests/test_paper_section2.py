@@ -294,7 +294,7 @@ def test_run_writes_every_figure_and_the_claims(
     names = {path.name for path in out.iterdir()}
     drawn = {"figure1", "figure2", "figure3", "exact_start", "input_bias", "noise_variance"}
     assert names == {"claims.csv", "claims.md", "index.md"} | {
-        f"{name}.{kind}" for name in drawn for kind in ("png", "csv")
+        f"{name}.{kind}" for name in drawn for kind in ("png", "pdf", "csv")
     }
     index = (out / "index.md").read_text()
     assert all(name in index for name in names - {"index.md"})

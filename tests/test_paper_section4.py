@@ -292,7 +292,7 @@ def test_run_writes_every_figure_table_and_claim(runs, tmp_path, capsys, monkeyp
     paper.run(4, tmp_path)
     names = {path.name for path in tmp_path.iterdir()}
     drawn = ("identities", "proposition4", "friction", "peers", "tuned", "model_errors")
-    expected = {f"{name}.{kind}" for name in drawn for kind in ("png", "csv")}
+    expected = {f"{name}.{kind}" for name in drawn for kind in ("png", "pdf", "csv")}
     listed = ("settling", "comparison", "contenders", "claims")
     expected |= {f"{name}.{kind}" for name in listed for kind in ("md", "csv")}
     assert names == expected | {"index.md"}

@@ -47,37 +47,74 @@ def order(errors):
 @pytest.mark.parametrize(
     "completion", [aslo.LeastSquares(), aslo.Repeat()], ids=["least squares", "repeat"]
 )
-def test_order_two_in_the_interval(completion):
-    observer = aslo.AlgebraicObserver(MOTOR.relation(), aslo.LowPass(20.0), completion)
+@pytest.mark.parametrize("filter", [aslo.LowPass(20.0), second_order(30.0)])
+@pytest.mark.parametrize("dt", [1e-3, 2e-2])
+def test_a_known_change_of_x_leaves_no_error_of_sampling(completion, filter, dt):
+    """The Swapping Lemma holds for sequences: samples may lie far apart, and the filter may
+    forget within a few of them."""
+    if isinstance(completion, aslo.LeastSquares):
+        completion = aslo.LeastSquares(aslo.LowPass(20.0))
+    observer = aslo.AlgebraicObserver(MOTOR.relation(), filter, completion)
+    t, u, y, flux = prescribed_log(dt, 1000 * dt)
+    found = aslo.replay(observer, t, u, y)
+    error = jnp.linalg.norm(found.value - flux, axis=1)[t > 0.5]
+    assert error.max() < 1e-11
+    assert not found.coasting[t > 0.5].any()
+
+
+def test_order_two_of_a_voltage_that_was_measured():
+    """The mean of a voltage holds the mean of the current's square, not that of a line."""
+    observer = aslo.AlgebraicObserver(MOTOR.relation(), aslo.LowPass(20.0))
     errors = []
-    for dt in (2e-3, 1e-3, 5e-4, 2.5e-4):
-        t, u, y, flux = prescribed_log(dt, 4000 * dt)  # of one length: compiled once
+    for dt in (4e-3, 2e-3, 1e-3):
+        t, u, y, flux = prescribed_log(dt, 1000 * dt)
+        middle = jax.vmap(MOTOR.current)(t + 0.5 * dt)
+        line = 0.5 * (y + jax.vmap(MOTOR.current)(t + dt))
+        u = u + MOTOR.resistance * (2.0 / 3.0) * (middle - line)  # by Simpson's rule
         error = jnp.linalg.norm(aslo.replay(observer, t, u, y).value - flux, axis=1)
         errors.append(float(jnp.sqrt(jnp.mean(error[(t > 0.5) & (t <= 1.0)] ** 2))))
     assert ((order(errors) > 1.9) & (order(errors) < 2.1)).all(), errors
 
 
-def test_order_two_with_a_held_input_and_a_general_filter():
+@pytest.mark.parametrize("filter", [aslo.LowPass(8.0), second_order(6.0)])
+@pytest.mark.parametrize("dt", [5e-3, 0.5])
+def test_no_error_with_a_held_input_and_a_general_filter(filter, dt):
     relation = aslo.plants.IntegratorChain(2).relation()
-    for filter in (aslo.LowPass(8.0), second_order(6.0)):
-        observer = aslo.AlgebraicObserver(relation, filter, aslo.Repeat())
-        errors = []
-        for dt in (1e-2, 5e-3, 2.5e-3):
-            t, u, y, x2 = held_log(dt, 400 * dt)
-            error = aslo.replay(observer, t, u, y).value[:, 0] - x2
-            errors.append(float(jnp.abs(error[(t > 0.3) & (t <= 1.0)]).max()))
-        assert ((order(errors) > 1.9) & (order(errors) < 2.1)).all(), errors
+    observer = aslo.AlgebraicObserver(relation, filter, aslo.Repeat())
+    t, u, y, x2 = held_log(dt, 400 * dt)
+    error = np.asarray(aslo.replay(observer, t, u, y).value[:, 0] - x2)[t > 0.3]
+    assert np.abs(error).max() < 1e-9 * np.abs(x2).max()
 
 
-def test_the_asymptotic_observer_keeps_the_order():
-    inner = aslo.AlgebraicObserver(MOTOR.relation(), aslo.LowPass(20.0))
+@pytest.mark.parametrize(
+    "completion", [aslo.LeastSquares(), aslo.Repeat()], ids=["least squares", "repeat"]
+)
+def test_a_chain_has_the_error_of_the_derivative_only(completion):
+    """Its rows turn by A: a filter that forgets within a sample costs nothing more, where
+    Heun's method was wrong by 50 times x."""
+    h = 1e-2
+    t = h * np.arange(2001)
+    u, x = np.cos(2.0 * t), np.zeros((t.size, 3))
+    for k in range(t.size - 1):
+        a, b, c = x[k]
+        x[k + 1, 0] = a + h * b + h**2 / 2 * c + h**3 / 6 * u[k]
+        x[k + 1, 1:] = b + h * c + h**2 / 2 * u[k], c + h * u[k]
+    relation = aslo.plants.IntegratorChain(3).relation()
     errors = []
-    for dt in (1e-3, 5e-4, 2.5e-4):
-        t, u, y, flux = prescribed_log(dt, 4000 * dt)
-        value = aslo.replay(aslo.Asymptotic(inner, 15.0), t, u, y).value
-        late = (t > 0.7) & (t <= 1.0)
-        errors.append(float(jnp.linalg.norm((value - flux)[late], axis=1).max()))
-    assert ((order(errors) > 1.9) & (order(errors) < 2.1)).all(), errors
+    for rate in (5.0, 5000.0):
+        observer = aslo.AlgebraicObserver(relation, aslo.LowPass(rate), completion)
+        found = aslo.replay(observer, t, u, x[:, 0]).value
+        errors.append(np.abs(np.asarray(found) - x[:, 1:])[500:].max(axis=0))
+    # The mean slope of y over an interval is not that of its ends, by the curvature of the
+    # slope: u, and u' for the derivative of the slope, up to 2.
+    assert np.max(errors) < 1.05 * h**2 / 12 * 2.0
+
+
+def test_the_asymptotic_observer_has_no_error_of_sampling():
+    inner = aslo.AlgebraicObserver(MOTOR.relation(), aslo.LowPass(20.0))
+    t, u, y, flux = prescribed_log(1e-2, 10.0)
+    value = aslo.replay(aslo.Asymptotic(inner, 15.0), t, u, y).value
+    assert jnp.linalg.norm((value - flux)[t > 2.0], axis=1).max() < 1e-11
 
 
 def test_voltage_as_a_point_costs_an_order():
@@ -107,12 +144,12 @@ RECORD_OBSERVER = aslo.AlgebraicObserver(
 )
 
 
-@pytest.mark.parametrize(("substeps", "bound"), [(1, 6e-4), (4, 5e-5)])
-def test_the_shipped_record(record, substeps, bound):
+@pytest.mark.parametrize("substeps", [1, 4])
+def test_the_shipped_record(record, substeps):
     t, u, y, flux = record
     estimate = aslo.replay(RECORD_OBSERVER, t, u, y, substeps=substeps)
     error = np.linalg.norm(estimate.value - flux, axis=1) / np.linalg.norm(flux, axis=1)
-    assert np.median(error[t > 0.15]) < bound
+    assert np.median(error[t > 0.15]) < 5e-5
     assert error[t >= 0.02].max() < 2e-3
     assert not estimate.coasting[t >= 0.02].any()
 

@@ -1,5 +1,5 @@
-"""Filters whose rate varies: every identity stays exact, sampled of second order, and a
-rate that varies by nothing is the constant one."""
+"""Filters whose rate varies: every identity stays exact, also in samples, and a rate that
+varies by nothing is the constant one."""
 
 import io
 
@@ -130,16 +130,14 @@ def replayed(observer, t, u, y):
 
 
 @pytest.mark.parametrize("name", SCHEDULES)
-def test_sampled_it_is_of_second_order(name):
+def test_sampled_no_rate_costs_anything(name):
+    """The rate of the left end of an interval is as good as any other."""
     observer = aslo.AlgebraicObserver(FLUX, aslo.LowPass(SCHEDULES[name]))
-    errors = []
-    for rows in (1000, 2000):
-        t, u, y, flux = log(rows)
-        found = replayed(observer, t, u, y)
-        late = (t > 0.3) & ~found.coasting
-        assert late.sum() > rows // 2
-        errors.append(jnp.linalg.norm(found.value - flux, axis=1)[late].max())
-    assert 1.85 < jnp.log2(errors[0] / errors[1]) < 2.15
+    t, u, y, flux = log(1000)
+    found = replayed(observer, t, u, y)
+    late = (t > 0.3) & ~found.coasting
+    assert late.sum() > 500
+    assert jnp.linalg.norm(found.value - flux, axis=1)[late].max() < 1e-9
 
 
 @pytest.mark.parametrize("start", ["exact", "paper"])

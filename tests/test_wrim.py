@@ -151,19 +151,14 @@ def test_every_inductance_and_resistance_matters():
             assert error(eqx.tree_at(of, right, 1.1 * of(right))) > 1e-2, (winding, field)
 
 
-def test_order_two_when_sampled():
+def test_no_error_of_sampling():
     both = aslo.SideBySide(observers(rate=20.0))
-    errors = {k: [] for k in PARTS}
-    for dt in (2e-3, 1e-3, 5e-4):
+    for dt in (2e-3, 5e-4):
         t = jnp.arange(2001) * dt  # a second or more, of one length: compiled once
         u = jax.vmap(FED.mean_voltage)(t, t + dt)
         found = aslo.replay(both, t, u, jax.vmap(FED.current)(t))
         for winding, error in errors_of(found, jax.vmap(FED.flux)(t)).items():
-            late = (t > 0.5) & (t <= 1.0)
-            errors[winding].append(np.sqrt(np.mean(error[late] ** 2)))
-    for winding, error in errors.items():
-        order = np.log2(np.array(error[:-1]) / np.array(error[1:]))
-        assert ((order > 1.9) & (order < 2.1)).all(), (winding, error)
+            assert error[t > 0.5].max() < 1e-10, winding  # rounding, over a certificate
 
 
 def test_a_control_loop_steps():

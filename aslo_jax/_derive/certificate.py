@@ -60,7 +60,7 @@ def certificate(
     """On waves within the ranges of the inputs, and the outputs that these make."""
     rng = np.random.default_rng(seed)
     if cutoff is None:
-        cutoff = max(1.5 * slowest, _fastest(model))
+        cutoff = typical_cutoff(model, slowest)
     t = np.linspace(0.0, PERIODS / cutoff, SAMPLES)
     u = _waves(rng, model.inputs, cutoff, t)
     y = _simulated(model, t, u)
@@ -80,6 +80,12 @@ def certificate(
     change = np.sqrt(np.median((moved - clean) ** 2, axis=0))
     worst = float(np.max(change / np.maximum(size, 1e-300)))
     return Certificate(value, cutoff, worst, simulated)
+
+
+def typical_cutoff(model: Model, slowest: float) -> float:
+    """A cutoff (rad/s) where no log says more: above `slowest`, and as fast as outputs
+    change on the ranges of the model."""
+    return max(1.5 * slowest, _fastest(model))
 
 
 def _fastest(model: Model) -> float:

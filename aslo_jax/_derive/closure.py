@@ -70,7 +70,7 @@ class _Search:
             value, size = c
             if np.any(np.abs(value) > CANCELLED * np.maximum(size, 1e-300)):
                 kept[monomial] = c
-            elif np.any(size > 0):
+            else:
                 self.structural = False
         return kept
 

@@ -18,7 +18,9 @@ from .symbols import Program, program
 @dataclasses.dataclass(frozen=True)
 class Step:
     """How one generator is found: `how`, from the entry `place`, which is the `known` terms
-    plus the `factors` times it; or by a function of other generators.
+    plus the `factors` times it; or by a function of other generators. What it is divided by
+    has usually the `size`, and the worth of the quotient goes with the square of it over
+    that.
 
     Terms are pairs of a monomial of generators that are known already, and a number."""
 
@@ -28,6 +30,7 @@ class Step:
     factors: tuple[tuple[Monomial, float], ...] = ()
     known: tuple[tuple[Monomial, float], ...] = ()
     argument: tuple[int, int] = (0, 0)  # of a function: the first of its factors, how many
+    size: float = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,9 +50,12 @@ class Decoder:
 
     def __call__(
         self, X: Float[Array, "*batch n"], p: Sequence[Any]
-    ) -> Float[Array, "*batch k"]:
-        """The states that are found, in their order; along the last axis of X."""
+    ) -> tuple[Float[Array, "*batch k"], Float[Array, "*batch"]]:
+        """The states that are found, in their order, along the last axis of X; and their
+        worth beside that of X, one at most: a quotient of numbers that are about zero tells
+        nothing, however well these are known."""
         values: dict[int, Any] = {}
+        worth: Any = jnp.ones(X.shape[:-1], X.dtype)
         factors = self.arguments({"p": p})
 
         def total(terms: tuple[tuple[Monomial, float], ...]) -> Any:
@@ -70,8 +76,10 @@ class Decoder:
                 factor = total(step.factors)
                 if step.how == "root":
                     rest = jnp.sqrt(jnp.maximum(rest / factor, 0.0))
+                    worth = jnp.minimum(worth, (rest / step.size) ** 2)
                 elif step.how == "ratio":
                     rest = rest * safe_reciprocal(jnp.asarray(factor))
+                    worth = jnp.minimum(worth, (factor / step.size) ** 2)
                 elif factor != 1.0:
                     rest = rest / factor
                 values[step.generator] = rest
@@ -81,22 +89,46 @@ class Decoder:
             if step.how == "angle":
                 sine, cosine = (values[m[0]] for m, _ in step.factors)
                 value = jnp.arctan2(sine, cosine)
+                worth = jnp.minimum(worth, sine**2 + cosine**2)
             else:
                 (m, _), *_ = step.factors
                 value = jnp.log(jnp.maximum(values[m[0]], 1e-300))
+                worth = jnp.minimum(worth, (values[m[0]] / step.size) ** 2)
             for (monomial, _), c in zip(step.known, others, strict=True):
                 value = value - c * total(((monomial, 1.0),))
             values[step.generator] = value / coefficient
-        return jnp.stack([values[g] for g in self.states], axis=-1)
+        return jnp.stack([values[g] for g in self.states], axis=-1), worth
 
 
-def decoder(ring: Ring, basis: Sequence[Constant]) -> Decoder:
-    """The steps that find as many states as there are to find."""
+def decoder(
+    ring: Ring,
+    basis: Sequence[Constant],
+    x: Float[np.ndarray, "N n"],
+    p: Float[np.ndarray, " k"],
+) -> Decoder:
+    """The steps that find as many states as there are to find; `x` are states as they
+    usually are, and `p` the parameters."""
     search = _Decoding(ring, basis)
     search.run()
     states = tuple(g for g in range(ring.states) if g in search.found)
     arguments = program(ring.graph, search.roots)
-    return Decoder(tuple(search.steps), states, search.notes, arguments)
+    known = generators(ring, x, p)
+    steps = tuple(
+        dataclasses.replace(step, size=_usual(step, known)) for step in search.steps
+    )
+    return Decoder(steps, states, search.notes, arguments)
+
+
+def _usual(step: Step, values: dict[int, np.ndarray]) -> float:
+    """The size of what a step divides by, rms."""
+    if step.how not in ("ratio", "root", "logarithm"):
+        return 1.0
+    found: Any = values[step.generator]
+    if step.how != "root":
+        products = (c * np.prod([values[g] for g in m], axis=0) for m, c in step.factors)
+        found = sum(products)
+    size = float(np.sqrt(np.mean(np.square(found))))
+    return size if np.isfinite(size) and size > 0 else 1.0
 
 
 class _Decoding:

@@ -1,29 +1,37 @@
 """What is derived from a model: the relation, and all that is known of it."""
 
 import dataclasses
-from typing import Any
+from typing import Any, overload
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._checks import unlike
 from .._filters import AbstractFilter
-from ..plants import AbstractModelledPlant
+from .._guard import Guard
+from .._structure import Region
+from ..observers import Lifted
+from ..plants import AbstractMechanicalSystem, AbstractModelledPlant
 from .certificate import Certificate, certificate
 from .changes import Change, changed, integrating
 from .closure import Closure, Constant
 from .decoding import decoder, lifted_states
 from .dictionary import Matrix, covectors
 from .lifted import Lowered, closed, lower
+from .mechanical import DerivedVelocities, derive_velocities
 from .model import Model
 from .observer import Coordinates, StateObserver, state_observer
 from .of_plant import once
+from .plant import ModelPlant, plant_of
 from .polynomials import Ring, Sampled
 from .refusal import reason, refusal
 from .relation import DerivedRelation, Parts, relation_of
 from .symbols import Program, program
 
+NOISELESS = 1e-9  # the deviation of inputs that are known
+DRAWN = 256  # points of the ranges, which say how large the relation's x is
 PERTURBED = 0.2  # of parameters, to see whether a closure holds for others too
 
 
@@ -63,7 +71,8 @@ class Derived:
     ) -> Float[Array, "*batch k"]:
         """The `states`, shape `(..., k)`, from the relation's x, `X` of shape `(..., n)`,
         and the outputs, `y` of shape `(..., p)`."""
-        return self.coordinates.states(jnp.asarray(X), jnp.asarray(y))
+        of = self.relation.values, jnp.asarray(X), jnp.asarray(y)
+        return self.coordinates.states(*of)[0]
 
     def lift(
         self, x: Float[Array, "N n"], y: Float[Array, "N p"]
@@ -72,7 +81,8 @@ class Derived:
         n)`, unknown parameters the last ones, and the outputs, `y` of shape `(N, p)`."""
         values, change = np.asarray(x, float), self.coordinates.change
         if change is not None:
-            values = np.asarray(jax.vmap(change.into)(jnp.asarray(values), jnp.asarray(y)))
+            into = jax.vmap(lambda x, y: change.into(x, y, self.relation.values))
+            values = np.asarray(into(jnp.asarray(values), jnp.asarray(y)))
         return lifted_states(self._ring, self._basis, values, self.model.values())
 
     def certificate(self, cutoff: float | None = None, seed: int = 0) -> Certificate:
@@ -99,7 +109,53 @@ class Derived:
         - `initial`: the states before the first certified instant, shape `(k,)`;
         - `settings`: `completion`, `guard` and `start` of [`AlgebraicObserver`][].
         """
-        return state_observer(self.coordinates, filter, gain, initial, **settings)
+        return state_observer(
+            self.relation, self.coordinates, filter, gain, initial, **settings
+        )
+
+    def kalman_filter(
+        self,
+        output_deviation: Any,
+        input_deviation: Any = 0.0,
+        *,
+        prior: Any = None,
+        threshold: float | None = 0.9,
+        initial: Any = None,
+    ) -> StateObserver:
+        """The Kalman filter of the relation ([`Lifted`][]), as an observer of the `states`.
+
+        - `output_deviation`, `input_deviation`: standard deviations of white noise on every
+          sample of the outputs and of the inputs, in their units, one number or one each;
+        - `prior`: that of the first belief of the relation's x, about the middle of what
+          the ranges of the states make of it, shape `(n,)`: by default half the width;
+        - `threshold`: the certificate, between 0 and 1, below which the estimate coasts;
+          `None` returns the filter's mean as it is;
+        - `initial`: the states before the first certified instant, shape `(k,)`.
+        """
+        low, high = self._bounds()
+        guard = None if threshold is None else Guard(threshold)
+        lifted = Lifted(
+            self.relation,
+            output_deviation,
+            jnp.maximum(jnp.asarray(input_deviation, float), NOISELESS),
+            prior=0.5 * (high - low) if prior is None else prior,
+            initial=0.5 * (low + high),
+            guard=None,
+        )
+        return StateObserver(lifted, self.coordinates, guard, initial)
+
+    def plant(self) -> ModelPlant:
+        """The model as a plant, whose `hidden` part are the `states`.
+
+        **Raises:** `ValueError` for a model whose equations do not give its outputs.
+        """
+        return plant_of(self.model, self)
+
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """The least and the largest of each entry of the relation's x, on the ranges."""
+        x, y = _drawn(self.model.ranges), _drawn(self.model.outputs, 1)
+        every = self.lift(jnp.asarray(x), jnp.asarray(y))
+        return np.nanmin(every, axis=0), np.nanmax(every, axis=0)
 
     def __str__(self) -> str:
         sure = "proved" if self.proved else "checked"
@@ -120,7 +176,25 @@ class Derived:
         return f"{name} ({note})" if note else name
 
 
-def derive(model: Model | AbstractModelledPlant) -> Derived:
+def _drawn(ranges: Any, seed: int = 0) -> np.ndarray:
+    """Points of ranges, shape `(N, n)`."""
+    rng, pairs = np.random.default_rng(seed), np.array(list(ranges.values()), float)
+    pairs = pairs.reshape(-1, 2)
+    return rng.uniform(pairs[:, 0], pairs[:, 1], (DRAWN, len(pairs)))
+
+
+@overload
+def derive(model: Model | AbstractModelledPlant, region: None = None) -> Derived: ...
+@overload
+def derive(
+    model: AbstractMechanicalSystem, region: Region | None = None
+) -> DerivedVelocities: ...
+
+
+def derive(
+    model: Model | AbstractModelledPlant | AbstractMechanicalSystem,
+    region: Region | None = None,
+) -> Derived | DerivedVelocities:
     """Derive the algebraic observer of what a `model` does not measure, or of the hidden
     part of a plant that is one; that of a plant is kept for the next time.
 
@@ -131,15 +205,28 @@ def derive(model: Model | AbstractModelledPlant) -> Derived:
     line. Then the rows are closed under differentiation, which gives a state-affine system.
     What is measured is taken as free: whether a record excites it, the certificate tells.
 
-    **Raises:** [`NotDerivable`][] where no equation closes, with the reason, the pair of
+    Of a mechanical system, whose inertia is known as such, the rule is its structure
+    ([`structure_of`][]): velocities one after the other, each from a momentum alone, which
+    takes a quarter of the operations of all of them together. `region` is where it moves, a
+    pair (low, high) of coordinates; a model has ranges instead.
+
+    **Raises:** [`StructureError`][] for a mechanical system that is not of the class;
+    [`NotDerivable`][] where no equation closes, with the reason, the pair of
     states that is in the way, and the measurement that would help; [`NotFusible`][] for a
     primitive that is not known; `ValueError` for a model that is not finite on its ranges.
 
     Source: theory, "deriving the observer from a model"; Fliess and Kupka 1983,
     doi:10.1137/0321041.
     """
-    if not isinstance(model, Model):
+    if isinstance(model, AbstractMechanicalSystem):
+        return derive_velocities(model, region)
+    if region is not None:
+        raise ValueError("Argument `region` must be left out for a model with ranges.")
+    if isinstance(model, AbstractModelledPlant):
         return once(model, derive)
+    if not isinstance(model, Model):
+        hint = "a `Model`, a plant that is one or an `AbstractMechanicalSystem`"
+        raise unlike("model", model, hint)
     lowered = lower(model)
     closure, algebra = closed(lowered)
     for find in (integrating, covectors) if closure.failures else ():
@@ -173,9 +260,11 @@ def _derived(
 ) -> Derived:
     parts = Parts(lowered, closure, algebra)
     # A factor is a series of numbers, for the present values of the parameters.
-    free = change is None and (closure.structural or _holds_for_others(lowered, closure))
+    free = (change is None or change.symbolic) and (
+        closure.structural or _holds_for_others(lowered, closure)
+    )
     relation, basis = relation_of(parts, free)
-    steps = decoder(lowered.ring, basis)
+    steps = decoder(lowered.ring, basis, _drawn(model.ranges), model.values())
     names = list(model.ranges)
     middle = tuple(0.5 * (low + high) for low, high in model.ranges.values())
     text = lowered.ring.text
@@ -195,7 +284,7 @@ def _derived(
         closure.structural,
         _slowest(parts),
         tuple(reason(lowered, each) for each in closure.failures),
-        Coordinates(relation, steps, rates, middle, change),
+        Coordinates(steps, rates, middle, change),
         lowered.ring,
         tuple(basis),
     )

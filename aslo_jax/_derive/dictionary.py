@@ -6,6 +6,8 @@ body that turns it finds the angular momentum in the frame at rest.
 """
 
 import dataclasses
+import functools
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -13,10 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from . import symbols
 from .closure import echelon
 from .lifted import Lowered
-from .polynomials import Polynomial, Sampled, Top, add, multiply
-from .symbols import Program, program
+from .polynomials import Points, Polynomial, Sampled, Top, add, multiply
+from .symbols import Program, Symbolic, program
 
 UNKNOWNS = 160  # the most coefficients of a covector
 ATOMS = ("sin", "cos", "exp")
@@ -35,28 +38,41 @@ class Matrix:
     p: tuple[float, ...]
 
     def __call__(self, y: Float[Array, " p"]) -> Float[Array, "n n"]:
-        values = _products(self.atoms, self.pairs, self.p, y)
-        rows = [
-            [
-                sum(
-                    (float(c) * v for c, v in zip(entry, values, strict=True) if c),
-                    0.0 * y[0],
-                )
-                for entry in row
-            ]
-            for row in self.combinations
-        ]
-        return jnp.stack([jnp.stack(row) for row in rows])
+        return _matrix(self, y)
 
-    def into(self, x: Float[Array, " k"], y: Float[Array, " p"]) -> Float[Array, " k"]:
+    symbolic = False  # it holds for the present values of the parameters
+
+    def into(
+        self, x: Float[Array, " k"], y: Float[Array, " p"], p: Sequence[Any]
+    ) -> Float[Array, " k"]:
         """The new coordinates of states `x`, unknown parameters as they are."""
+        del p
         n = len(self.combinations)
         return jnp.concatenate([jnp.sum(self(y) * x[:n], axis=1), x[n:]])
 
-    def back(self, x: Float[Array, " k"], y: Float[Array, " p"]) -> Float[Array, " k"]:
+    def back(
+        self, x: Float[Array, " k"], y: Float[Array, " p"], p: Sequence[Any]
+    ) -> Float[Array, " k"]:
         """The states of new coordinates `x`."""
+        del p
         n = len(self.combinations)
         return jnp.concatenate([_solved(self(y), x[:n]), x[n:]])
+
+
+@functools.partial(jax.jit, static_argnums=0)  # traced once, and not at every use
+def _matrix(change: Matrix, y: Float[Array, " p"]) -> Float[Array, "n n"]:
+    values = _products(change.atoms, change.pairs, change.p, y)
+    rows = [
+        [
+            sum(
+                (float(c) * v for c, v in zip(entry, values, strict=True) if c),
+                0.0 * y[0],
+            )
+            for entry in row
+        ]
+        for row in change.combinations
+    ]
+    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def _solved(T: Array, x: Array) -> Array:
@@ -105,13 +121,7 @@ def covectors(lowered: Lowered) -> Matrix | None:
         return None
     code, p = program(graph, atoms), tuple(float(v) for v in model.values())
     algebra = lowered.sampled(0)
-    points = algebra.points
-    y = np.stack(
-        [points.inputs["y", j][points.good] for j in range(len(model.outputs))], axis=1
-    )
-    single = lambda y: jnp.stack([jnp.asarray(v, y.dtype) for v in code({"y": y, "p": p})])
-    both = jax.jit(jax.vmap(lambda y: (single(y), jax.jacfwd(single)(y))))
-    of, slope = map(np.asarray, both(jnp.asarray(y)))
+    of, slope = with_slopes(code, p, algebra.points, len(model.outputs))
     left, right = (list(side) for side in zip(*every, strict=True))
     values = of[:, left] * of[:, right]
     slopes = of[:, left, None] * slope[:, right] + slope[:, left] * of[:, right, None]
@@ -122,6 +132,24 @@ def covectors(lowered: Lowered) -> Matrix | None:
     if picked is None:
         return None
     return Matrix(picked, code, tuple(every[k] for k in kept), p)
+
+
+def with_slopes(
+    code: Program, p: tuple[float, ...], points: Points, outputs: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The functions of y in `code`, shape `(N, a)`, and their slopes, shape `(N, a, p)`, at
+    the good points: as a graph, which needs no compiler."""
+
+    def single(y: Array) -> Array:
+        return jnp.stack([jnp.asarray(v, y.dtype) for v in code({"y": y, "p": p})])
+
+    graph, count = Symbolic(), len(code.roots)
+    both = lambda y: jnp.concatenate([single(y), jax.jacfwd(single)(y).ravel()])
+    nodes = symbols.lowered(graph, both, {"y": outputs})
+    there = Points(points.inputs, 0, "nothing")
+    there.good = points.good
+    values = np.stack([value for value, _ in there.of(graph, nodes)], axis=1)
+    return values[:, :count], values[:, count:].reshape(-1, count, outputs)
 
 
 def _null(
@@ -149,7 +177,9 @@ def _null(
     )
     size = np.abs(M).max(axis=0)
     size[size == 0] = 1.0
-    _, singular, V = np.linalg.svd(M / size, full_matrices=True)
+    # Of a tall matrix the triangular factor has the same rows.
+    W = np.linalg.qr(M / size, mode="r") if len(M) > M.shape[1] else M / size
+    _, singular, V = np.linalg.svd(W, full_matrices=True)
     rank = int((singular > VANISHES * singular[0]).sum())
     return echelon(V[rank:] / size)[0]
 

@@ -94,30 +94,94 @@ def _primitive(node: Node, args: Sequence[Any]) -> Any:
     return getattr(jax.lax, f"{node.op}_p").bind(*arrays, **dict(node.data))
 
 
+class Lots:
+    """What is drawn by lot at points, so that what no point reaches is seen as well: which
+    branch a choice takes, by the number of its condition, and which operand is the larger
+    one. If `wild`, the numbers of steps, of tables and of comparisons too, and any number
+    where there is none. Nodes that are `bound` to each other are left as they are."""
+
+    def __init__(
+        self, seed: int, count: int, wild: bool, bound: Callable[[int], bool]
+    ) -> None:
+        self.seed, self.count, self.wild, self.bound = seed, count, wild, bound
+
+    def _drawn(self, number: int) -> np.random.Generator:
+        return np.random.default_rng((self.seed, number))
+
+    def sides(self, number: int) -> np.ndarray:
+        """True or false, at every point."""
+        return self._drawn(number).random(self.count) < 0.5
+
+    def numbers(self, number: int) -> np.ndarray:
+        """Of either sign, and none of them small."""
+        rng = self._drawn(number)
+        return rng.uniform(0.5, 2.0, self.count) * rng.choice([-1.0, 1.0], self.count)
+
+    def moved(self, number: int, node: Node, args: list, value: np.ndarray) -> np.ndarray:
+        """The value of a node with steps as drawn."""
+        op, size = node.op, self.count
+        steps = op in STEPS or _is_truncated(node, args)
+        from_truth = op == "convert" and args[0].dtype == bool
+        if not (self.wild and (steps or from_truth or op in ("table", "sign", "rem"))):
+            return value
+        rng = self._drawn(number)
+        if op == "table":
+            drawn = node.data[rng.integers(0, len(node.data), size)]
+            return np.where(self.sides(number), drawn, value)
+        if op == "sign":
+            return rng.choice([-1.0, 1.0], size)
+        if steps:
+            return value + rng.integers(-2, 3, size).astype(value.dtype)
+        if from_truth:
+            return self.sides(number).astype(value.dtype)
+        return value + args[1] * rng.integers(-1, 2, size)
+
+
+STEPS = ("floor", "ceil", "rint")
+
+
+def _is_truncated(node: Node, args: list) -> bool:
+    return node.op == "convert" and node.dtype.kind in "iu" and args[0].dtype.kind == "f"
+
+
 def at_points(
     nodes: Sequence[Node],
     order: Sequence[int],
     inputs: dict[Any, np.ndarray],
-    picked: Callable[[int, np.ndarray], np.ndarray],
-) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """The values of the nodes of an `order` at points, shape `(N,)`, and their magnitudes:
-    what they would be, did nothing cancel. `picked(condition, true)` says which branch of a
-    choice is taken at each point."""
-    found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+    lots: Lots | None,
+    found: dict[int, tuple[np.ndarray, np.ndarray]],
+) -> None:
+    """Add to what is `found`, by number, the values of the nodes of an `order` at points,
+    shape `(N,)`, and their magnitudes: what they would be, did nothing cancel. `lots`: what
+    is drawn; `None` is true to the functions."""
     with np.errstate(all="ignore"):
         for number in order:
             node = nodes[number]
             args = [found[a][0] for a in node.args]
             sizes = [found[a][1] for a in node.args]
+            free = lots is not None and not lots.bound(number)
             if node.op == "select":
-                which = picked(node.args[0], args[0])
+                which = args[0]
+                if lots is not None and not lots.bound(node.args[0]):
+                    which = lots.sides(node.args[0])
                 value = np.where(which, args[1], args[2])
                 size = np.where(which, sizes[1], sizes[2])
+            elif free and node.op in ("max", "min") and node.dtype.kind == "f":
+                assert lots is not None
+                which = lots.sides(number)
+                value, size = np.where(which, *args), np.where(which, *sizes)
             else:
                 value = inputs[node.data] if node.op == "input" else _value(node, args)
+                if free and node.args:
+                    assert lots is not None
+                    value = lots.moved(number, node, args, value)
                 size = _size(node, args, sizes, value)
+            if lots is not None and lots.wild and value.dtype.kind == "f" and node.args:
+                lost = ~(np.isfinite(value) & np.isfinite(size))
+                if lost.any():
+                    value = np.where(lost, lots.numbers(number), value)
+                    size = np.where(lost, 1.0, size)
             found[number] = value, size
-    return found
 
 
 def _value(node: Node, args: Sequence[np.ndarray]) -> np.ndarray:
@@ -131,7 +195,7 @@ def _value(node: Node, args: Sequence[np.ndarray]) -> np.ndarray:
     if node.op == "div" and node.dtype.kind == "f":
         return np.divide(*args)
     if node.op == "table":
-        return node.data[args[0]]
+        return node.data[np.clip(args[0], 0, len(node.data) - 1)]
     if node.op in NUMPY:
         return np.asarray(NUMPY[node.op](*args))
     return np.asarray(bound(node, args))

@@ -7,7 +7,7 @@ import numpy as np
 
 from .closure import Closure, close, remainder
 from .model import Model
-from .polynomials import Points, Polynomial, Ring, Sampled, Top
+from .polynomials import Drawn, Points, Polynomial, Ring, Sampled, Top
 from .symbols import Symbolic, lowered
 
 POINTS = 48
@@ -32,29 +32,36 @@ class Lowered:
     rows: Rows
     nodes: dict[str, list[int]]
 
-    def sampled(self, seed: int, parameters: np.ndarray | None = None) -> Sampled:
-        """Coefficients at points of the ranges, of the model's parameters or others.
+    def sampled(
+        self, seed: int, parameters: np.ndarray | None = None, drawn: Drawn = "all"
+    ) -> Sampled:
+        """Coefficients at points of the ranges at which the model is finite, of the model's
+        parameters or others; `drawn`: what is by lot.
 
         **Raises:** [`NotFinite`][]."""
-        for true in (False, True):
-            points = self._points(seed, parameters, true)
-            algebra = Sampled(self.graph, points)
-            every = [*self.rates, *(r for *_, r in self.rows)]
-            coefficients = {c for p in every if not isinstance(p, Top) for c in p.values()}
-            algebra.look(sorted(coefficients))
-            values = [algebra.of(c) for c in coefficients]
-            good = np.ones(points.count, bool)
-            for value in values:
-                good &= np.isfinite(value).all(axis=0)
-            if good.sum() >= LEAST:
-                points.good = good
-                return Sampled(self.graph, points)
-        raise NotFinite(
-            "The model must be finite on the ranges of its outputs and inputs, but is not "
-            f"at {POINTS - int(good.sum())} of {POINTS} points of these; narrow them."
-        )
+        points = self._points(seed, parameters, drawn)
+        true = self._points(seed, parameters, "nothing")
+        true.good = self._finite(true)
+        if true.size < LEAST:
+            raise NotFinite(
+                "The model must be finite on the ranges of its outputs and inputs, but is "
+                f"not at {POINTS - true.size} of {POINTS} points of these; narrow them."
+            )
+        if drawn == "nothing":
+            return Sampled(self.graph, true)
+        points.good = true.good if drawn == "all" else self._finite(points)
+        return Sampled(self.graph, points if points.size >= LEAST else true)
 
-    def _points(self, seed: int, parameters: np.ndarray | None, true: bool) -> Points:
+    def _finite(self, points: Points) -> np.ndarray:
+        """At which points all coefficients are numbers, shape `(N,)`."""
+        every = [*self.rates, *(r for *_, r in self.rows)]
+        nodes = {c for p in every if not isinstance(p, Top) for c in p.values()}
+        good = np.ones(points.count, bool)
+        for value in points.of(self.graph, sorted(nodes)):
+            good &= np.isfinite(value).all(axis=0)
+        return good
+
+    def _points(self, seed: int, parameters: np.ndarray | None, drawn: Drawn) -> Points:
         rng = np.random.default_rng(seed)
         model, inputs = self.model, {}
         groups = {"x": model.ranges, "y": model.outputs, "u": model.inputs}
@@ -64,7 +71,7 @@ class Lowered:
         values = model.values() if parameters is None else parameters
         for k, value in enumerate(values):
             inputs["p", k] = np.full(POINTS, value)
-        return Points(inputs, seed, true)
+        return Points(inputs, seed, drawn)
 
 
 def lower(model: Model, measured: tuple[str, ...] = ()) -> Lowered:

@@ -2,9 +2,11 @@
 
 import dataclasses
 import inspect
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -107,7 +109,7 @@ class Model:
 
     def rates(self, x: Array, y: Array, u: Array, p: Array) -> list[Array]:
         """The rates of all states, zero for unknown parameters."""
-        found = entries(self._called(self.f, x, y, u, p))
+        found = entries(self._called("f", x, y, u, p))
         self._count("f", found, len(self.states), "states")
         return [*found, *(jnp.zeros(()) for _ in self.unknown)]
 
@@ -115,7 +117,7 @@ class Model:
         """The rates of outputs, by their numbers."""
         if self.g is None:
             return {}
-        given = self._called(self.g, x, y, u, p)
+        given = self._called("g", x, y, u, p)
         some = isinstance(given, list | tuple) and any(each is None for each in given)
         found = list(given) if some else entries(given)
         self._count("g", found, len(self.outputs), "outputs")
@@ -124,19 +126,20 @@ class Model:
 
     def equations(self, x: Array, y: Array, u: Array, p: Array) -> list[Array]:
         """The expressions that are zero."""
-        return [] if self.h is None else entries(self._called(self.h, x, y, u, p))
+        return [] if self.h is None else entries(self._called("h", x, y, u, p))
 
-    def _called(self, function: Callable, x: Array, y: Array, u: Array, p: Array) -> Any:
+    def _called(self, name: str, x: Array, y: Array, u: Array, p: Array) -> Any:
+        function: Any = getattr(self, name)
         count = len(self.states)
         named = dict(zip(self.known, p, strict=True))
         named |= dict(zip(self.unknown, x[count:], strict=True))
-        parameters = {name: named[name] for name in self.parameters}
-        arguments = x[:count], y, u
-        return (
-            function(*arguments, parameters)
-            if wants_parameters(function)
-            else function(*arguments)
-        )
+        arguments: list[Any] = [x[:count], y, u]
+        if wants_parameters(function):
+            arguments.append({name: named[name] for name in self.parameters})
+        try:
+            return function(*arguments)
+        except Exception as error:  # whatever the user's code raises
+            raise ValueError(_failed(name, function, error)) from error
 
     def _count(self, name: str, found: Sequence[Any], count: int, what: str) -> None:
         if len(found) != count:
@@ -148,6 +151,25 @@ class Model:
     def values(self) -> Float[np.ndarray, " k"]:
         """The known parameters."""
         return np.array(list(self.known.values()), float)
+
+
+def _failed(name: str, function: Any, error: Exception) -> str:
+    """That the function `name` of a model raises an error, where, and what to do."""
+    code = getattr(function, "__code__", None)
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f for f in frames if code is not None and f.filename == code.co_filename]
+    place = f" at {own[-1].filename}:{own[-1].lineno}" if own else ""
+    needs_value = isinstance(error, jax.errors.JAXTypeError | TypeError) and (
+        "traced" in str(error) or isinstance(error, jax.errors.JAXTypeError)
+    )
+    if needs_value:
+        return (
+            f"Argument `{name}` must be a function that JAX can trace, but needs the value "
+            f"of a signal{place}; use `jnp.where` in place of `if`, and the functions of "
+            "`jax.numpy` in place of those of `math` and `numpy`."
+        )
+    first = str(error).partition("\n")[0]
+    return f"Argument `{name}` fails{place} with {type(error).__name__}: {first}"
 
 
 def entries(tree: Any) -> list[Array]:

@@ -1,8 +1,10 @@
 """The observer of the states of a model, by a derived relation."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -13,7 +15,7 @@ from .._module import Module
 from .._realise import Pass
 from .._relations import AbstractTerms, Row
 from .._typing import PyTree
-from ..observers import AbstractObserver, AlgebraicObserver, Asymptotic, Estimate
+from ..observers import AbstractObserver, AlgebraicObserver, Asymptotic, Estimate, Lifted
 from .changes import Change
 from .decoding import Decoder
 from .dictionary import Matrix
@@ -22,43 +24,44 @@ from .symbols import Program
 
 
 class Coordinates(Module):
-    """From the x of a `relation` to the states of the model, and how these change.
+    """From the x of a relation to the states of the model, and how these change; `p` are
+    the parameters of the model, in order.
 
     - `decoder`, `rates`: the code of both; `middle`: values of states that are not found;
     - `change`: the coordinates that the relation is in, where they are not the model's.
     """
 
-    relation: DerivedRelation
     decoder: Decoder = eqx.field(static=True)
     rates: Program = eqx.field(static=True)
     middle: tuple[float, ...] = eqx.field(static=True)
     change: Change | Matrix | None = eqx.field(static=True, default=None)
 
-    @property
-    def parameters(self) -> tuple[Any, ...]:
-        """The parameters of the model, in order."""
-        return tuple(self.relation.parameters.values()) or self.relation.fixed
-
     def states(
-        self, X: Float[Array, "*batch n"], y: Float[Array, "*batch p"]
-    ) -> Float[Array, "*batch k"]:
-        """The states that are found, from the x of the relation and what is measured."""
-        found = self.decoder(X, self.parameters)
+        self, p: Sequence[Any], X: Float[Array, "*batch n"], y: Float[Array, "*batch p"]
+    ) -> tuple[Float[Array, "*batch k"], Float[Array, "*batch"]]:
+        """The states that are found, from the x of the relation and what is measured, and
+        their worth beside that of x, one at most."""
+        found, worth = self.decoder(X, p)
         if self.change is None:
-            return found
+            return found, worth
         places = jnp.array(self.decoder.states)
         full = jnp.zeros((*found.shape[:-1], len(self.middle)), found.dtype)
-        back = jnp.vectorize(self.change.back, signature="(n),(p)->(n)")
-        return back(full.at[..., places].set(found), y)[..., places]
+        change = self.change
+        back = jnp.vectorize(lambda x, y: change.back(x, y, p), signature="(n),(p)->(n)")
+        return back(full.at[..., places].set(found), y)[..., places], worth
 
     def rate(
-        self, x: Float[Array, " k"], u: Float[Array, " m"], y: Float[Array, " p"]
+        self,
+        p: Sequence[Any],
+        x: Float[Array, " k"],
+        u: Float[Array, " m"],
+        y: Float[Array, " p"],
     ) -> Float[Array, " k"]:
         """Their derivatives by the model."""
         full: list[Any] = list(self.middle)
         for place, value in zip(self.decoder.states, x, strict=True):
             full[place] = value
-        found = self.rates({"x": full, "y": y, "u": u, "p": self.parameters})
+        found = self.rates({"x": full, "y": y, "u": u, "p": p})
         return jnp.stack([jnp.asarray(found[k], x.dtype) for k in self.decoder.states])
 
 
@@ -67,7 +70,7 @@ class _Motion(AbstractTerms):
 
     z: Float[Array, " n"]
     A: Float[Array, "n n"] | None
-    coordinates: Coordinates
+    observer: "StateObserver"
     u: Array
     y: Array
 
@@ -75,7 +78,7 @@ class _Motion(AbstractTerms):
         raise NotImplementedError
 
     def drift(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
-        return self.coordinates.rate(x, self.u, self.y)
+        return self.observer.rate(x, self.u, self.y)
 
 
 class StateObserver(AbstractObserver):
@@ -83,30 +86,43 @@ class StateObserver(AbstractObserver):
     solved for, the states are taken from it, and while these are not certified they coast
     along the model.
 
-    - `observer`: of the relation, without a guard, algebraic or asymptotic;
+    - `observer`: of the relation, without a guard: algebraic, asymptotic, or the Kalman
+      filter of it, with which the estimate has a covariance, of first order in that of x;
     - `coordinates`: of its x and of the states;
     - `guard`: of the states; `None` returns what the relation gives;
     - `initial`: the states before the first certified instant, shape `(k,)`, in their
       units; by default the middle of their ranges.
     """
 
-    observer: AlgebraicObserver | Asymptotic
+    observer: AlgebraicObserver | Asymptotic | Lifted
     coordinates: Coordinates
     guard: Guard | None
     initial: Float[Array, " k"] | None = eqx.field(converter=optional_real, default=None)
 
     @property
+    def relation(self) -> DerivedRelation:
+        """The relation that it rests on."""
+        inner = self.observer
+        return (inner.observer if isinstance(inner, Asymptotic) else inner).relation  # pyright: ignore[reportReturnType]
+
+    @property
     def signals(self) -> dict[str, tuple[int, ...]]:
-        return self.coordinates.relation.signals
+        return self.relation.signals
+
+    def rate(
+        self, x: Float[Array, " k"], u: Float[Array, " m"], y: Float[Array, " p"]
+    ) -> Float[Array, " k"]:
+        """The derivatives of the states by the model (their units per second)."""
+        return self.coordinates.rate(self.relation.values, x, u, y)
 
     def equations(self, F: Pass, u: PyTree, y: PyTree) -> Estimate:
-        found = self.observer(F.scope("lifted"), u, y)
-        states = self.coordinates.states(found.value, y)
+        found = self.decoded(self.observer(F.scope("lifted"), u, y), y)
+        states = found.value
         if self.guard is None:
-            return Estimate(states, found.certificate, found.coasting)
+            return found
         middle = [self.coordinates.middle[k] for k in self.coordinates.decoder.states]
         initial = jnp.asarray(middle) if self.initial is None else self.initial
-        motion = _Motion(states, None, self.coordinates, u, y)
+        motion = _Motion(states, None, self, u, y)
         value, coasting = self.guard(
             F.scope("guard"),
             states,
@@ -114,10 +130,23 @@ class StateObserver(AbstractObserver):
             motion,
             initial.astype(states.dtype),
         )
-        return Estimate(value, found.certificate, coasting)
+        return Estimate(value, found.certificate, coasting, found.covariance)
+
+    def decoded(self, found: Estimate, y: PyTree) -> Estimate:
+        """The estimate of the states from one of the relation's x."""
+        of = lambda X: self.coordinates.states(self.relation.values, X, y)
+        (states, worth), covariance = of(found.value), found.covariance
+        if covariance is not None:
+            J = jax.jacfwd(lambda X: of(X)[0])(found.value)
+            covariance = J @ covariance @ J.T
+        certificate = found.certificate
+        if not self.coordinates.decoder.is_selection:
+            certificate = certificate * worth
+        return Estimate(states, certificate, found.coasting, covariance)
 
 
 def state_observer(
+    relation: DerivedRelation,
     coordinates: Coordinates,
     filter: AbstractFilter,
     gain: Float[Array, ""] | float | None,
@@ -128,6 +157,6 @@ def state_observer(
     guard = settings.pop("guard", Guard())
     # The A-ASLO follows what is certified, the ASLO decodes all and is guarded then.
     inner = None if gain is None else guard
-    observer = AlgebraicObserver(coordinates.relation, filter, guard=inner, **settings)
+    observer = AlgebraicObserver(relation, filter, guard=inner, **settings)
     whole = observer if gain is None else Asymptotic(observer, gain)
     return StateObserver(whole, coordinates, guard, initial)

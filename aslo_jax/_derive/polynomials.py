@@ -8,16 +8,17 @@ of polynomials in them, which are added when they are met.
 
 import itertools
 from collections.abc import Iterable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from .evaluation import at_points
+from .evaluation import Lots, at_points
 from .symbols import Symbolic
 
 DEGREE = 6  # the highest of a monomial
 Monomial = tuple[int, ...]
 Polynomial = dict[Monomial, Any]
+Drawn = Literal["all", "branches", "nothing"]
 
 
 class Top(NamedTuple):
@@ -109,16 +110,16 @@ class Sampled:
 class Points:
     """Points at which coefficients are compared: values of inputs by slot, shape `(N,)`.
 
-    A branch is taken by lot at every point, so that one which no point would reach is seen
-    as well; unless `true` to the conditions, or within an elimination, whose conditions
-    belong together."""
+    `drawn` says what of a model is by lot ([`Lots`][]): `"all"`, `"branches"` or
+    `"nothing"`; within an elimination, whose conditions belong together, nothing is."""
 
-    def __init__(self, inputs: dict[Any, np.ndarray], seed: int, true: bool) -> None:
+    def __init__(self, inputs: dict[Any, np.ndarray], seed: int, drawn: Drawn) -> None:
         self.inputs = inputs
         self.count = len(next(iter(inputs.values()))) if inputs else 1
         self.seed = seed
-        self.true = true
+        self.drawn = drawn
         self.good = np.ones(self.count, bool)
+        self._found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     @property
     def size(self) -> int:
@@ -126,20 +127,26 @@ class Points:
         return int(self.good.sum())
 
     def of(self, graph: Symbolic, nodes: list[int]) -> list[np.ndarray]:
-        def picked(condition: int, true: np.ndarray) -> np.ndarray:
-            if self.true or graph.eliminates(condition):
-                return true
-            return np.random.default_rng((self.seed, condition)).random(self.count) < 0.5
+        lots = None
+        if self.drawn != "nothing":
+            lots = Lots(self.seed, self.count, self.drawn == "all", graph.eliminates)
+        found = self._found
+        order = [n for n in graph.reachable(nodes) if n not in found]
+        at_points(graph.nodes, order, self.inputs, lots, found)
+        return [self._whole(graph, n, found[n], lots) for n in nodes]
 
-        order = graph.reachable(nodes)
-        found = at_points(graph.nodes, order, self.inputs, picked)
-        shape = (2, self.count)
-        return [
-            np.stack([np.broadcast_to(np.asarray(x, float), shape[1:]) for x in found[n]])[
-                :, self.good
-            ]
-            for n in nodes
-        ]
+    def _whole(
+        self, graph: Symbolic, number: int, found: tuple[np.ndarray, ...], lots: Lots | None
+    ) -> np.ndarray:
+        """Value and magnitude at the good points. What is zero at all of them by no
+        cancellation, as a number that is too small is, may be none elsewhere."""
+        both = np.stack([np.broadcast_to(np.asarray(x, float), self.count) for x in found])
+        nothing = lots is not None and lots.wild and not both.any()
+        varies = any(kind != "p" for kind, _ in graph.inputs(number))
+        if nothing and varies and graph.value(number) is None:
+            assert lots is not None
+            both = np.stack([lots.numbers(number), np.ones(self.count)])
+        return both[:, self.good]
 
 
 def add(algebra: Algebra, p: Polynomial, q: Polynomial) -> Polynomial:
@@ -169,16 +176,18 @@ def scaled(algebra: Algebra, p: Polynomial, c: Any) -> Polynomial:
 
 
 class Ring:
-    """The generators, by name; `rules` are of those that are functions of others. States
-    that are `measured` are none: their inputs are coefficients."""
+    """The generators, by name; `rules` are of those that are functions of others. They are
+    the inputs of the `kind`; those that are `measured` are none, but coefficients."""
 
     def __init__(
         self,
         graph: Symbolic,
         names: tuple[str, ...],
         measured: frozenset[int] = frozenset(),
+        kind: str = "x",
     ) -> None:
         self.graph = graph
+        self.kind = kind
         self.measured = measured
         self.nodes = Nodes(graph)
         self.states = len(names)
@@ -256,7 +265,7 @@ class Ring:
 
     def moves(self, number: int) -> bool:
         """Whether a node depends on what is not measured."""
-        states = (k for kind, k in self.graph.inputs(number) if kind == "x")
+        states = (k for kind, k in self.graph.inputs(number) if kind == self.kind)
         return any(k not in self.measured for k in states)
 
     def of(self, number: int) -> Polynomial | Top:

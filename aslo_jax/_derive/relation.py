@@ -40,13 +40,18 @@ class DerivedRelation(Module):
     fixed: tuple[float, ...] = eqx.field(static=True, default=())
 
     @property
+    def values(self) -> tuple[Any, ...]:
+        """The parameters of the model, in order."""
+        return tuple(self.parameters.values()) or self.fixed
+
+    @property
     def signals(self) -> dict[str, tuple[int, ...]]:
         """The shapes of u and y."""
         m, p = self.sizes
         return {"u": (m,), "y": (p,)}
 
     def __call__(self, u: Float[Array, " m"], y: Float[Array, " p"]) -> AbstractTerms:
-        p = tuple(self.parameters.values()) or self.fixed
+        p = self.values
         left = iter(self.program({"u": u, "y": y, "p": p}))
         dtype = jnp.result_type(float, u, y) if p == () else jnp.result_type(u, y, *p)
         n = self.size
@@ -84,6 +89,7 @@ class Parts:
         self.lowered = lowered
         self.closure = closure
         self.algebra = algebra
+        self.typical = lowered.sampled(0, drawn="branches")
         self.nodes = Nodes(lowered.graph)
         n = len(closure.basis)
         self.A, self.z = [], []
@@ -130,9 +136,10 @@ class Parts:
         return not any(kind != "p" for each in found for kind, _ in each)
 
     def state_matrix(self) -> np.ndarray:
-        """A at the points, shape `(N, n, n)`."""
-        A = [[self.algebra.of(c)[0] for c in row] for row in self.A]
-        size = self.algebra.points.size
+        """A at points as they may be, shape `(N, n, n)`."""
+        self.typical.look(sorted({n for row in self.A for n in row}))
+        A = [[self.typical.of(c)[0] for c in row] for row in self.A]
+        size = self.typical.points.size
         full = [[np.broadcast_to(c, size) for c in row] for row in A]
         return np.moveaxis(np.array(full), -1, 0)
 
@@ -214,7 +221,7 @@ def _several(parts: Parts, rates: list[Any], others: list[Any]) -> Entries:
     ranges = list(parts.lowered.model.outputs.values())
     weights = [1.0 / (ranges[row.index][1] - ranges[row.index][0]) for row, *_ in rates]
     for _, c, d in others:
-        sizes = [np.abs(parts.algebra.of(n)[0]).mean() for n in (*c, d)]
+        sizes = [np.abs(parts.typical.of(n)[0]).mean() for n in (*c, d)]
         weights.append(1.0 / max(sizes))
     if len(weights) == 1:
         weights = [1.0]

@@ -1,6 +1,7 @@
 """The functions of a model as a graph of the engine, in which functions of one variable
 stay what they are."""
 
+import hashlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -67,7 +68,7 @@ class Symbolic(Graph):
         return super().made(node, args)
 
     def inputs(self, number: int) -> frozenset[tuple[str, int]]:
-        """The inputs that a node depends on, by kind, `x`, `y`, `u` or `p`, and place."""
+        """The inputs that a node depends on, by kind, such as `x` or `y`, and place."""
 
         def make(n: int) -> frozenset[tuple[str, int]]:
             node = self.nodes[n]
@@ -114,7 +115,8 @@ def lowered(
     and `sizes` that it takes, in this order.
 
     **Raises:** `NotFusible` for a primitive that the engine does not know."""
-    arguments = [jnp.zeros(size) for size in sizes.values()]
+    dtype = jnp.result_type(float)
+    arguments = [jax.ShapeDtypeStruct((size,), dtype) for size in sizes.values()]
     closed = jax.make_jaxpr(function)(*arguments)
     inputs = [
         np.array([graph.input(float, (kind, k)) for k in range(size)], np.int64)
@@ -135,6 +137,11 @@ def program(graph: Graph, roots: Sequence[int]) -> "Program":
     return Program(nodes, tuple(places[n] for n in roots))
 
 
+def _exact(data: Any) -> Any:
+    """The data of a node, in a form whose text has all its digits."""
+    return data.tolist() if isinstance(data, np.ndarray | np.generic) else data
+
+
 class Program:
     """Straight-line code of scalars, run by JAX; a value by its identity."""
 
@@ -143,8 +150,11 @@ class Program:
         self.roots = roots
 
     def __repr__(self) -> str:
+        # With a digest of all of it: a study is told by its text to be the same one.
         count = sum(node.op not in ("const", "input") for node in self.nodes)
-        return f"Program({count} operations)"
+        whole = repr([(n.op, str(n.dtype), n.args, _exact(n.data)) for n in self.nodes])
+        digest = hashlib.sha256(f"{whole}{self.roots}".encode()).hexdigest()[:12]
+        return f"Program({count} operations, {digest})"
 
     def __call__(self, inputs: dict[str, Any]) -> list[Any]:
         """The entries, of arrays of `inputs` by kind; constants are plain numbers."""

@@ -12,7 +12,9 @@ except ModuleNotFoundError as error:
 
 from ._calibrate import calibrate
 from ._derive import derive
+from ._docs import docs
 from ._estimate import Explained, estimate
+from ._explore import explore
 from ._export import export
 from ._paper import paper
 from ._sample import sample
@@ -50,7 +52,9 @@ app.command(cls=Explained)(estimate)
 app.command()(calibrate)
 app.command()(tune)
 app.command()(export)
+app.command()(explore)
 app.command()(derive)
 app.command()(sample)
 app.command()(paper)
+app.command()(docs)
 app.command(help=STUDY_HELP)(study)

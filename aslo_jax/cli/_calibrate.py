@@ -164,7 +164,7 @@ def calibrate(
             )
         if found is not None:
             values = values_of(description, found)
-        parts[0].write_text(calibrated_text(text, values), encoding="utf-8")
+        parts[0].write_text(calibrated_text(text, values, description), encoding="utf-8")
         if found is not None and values:
             after = read_machine(parts[0])
             report.check_calibrated(description, after, recorded, found)

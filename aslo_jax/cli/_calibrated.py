@@ -103,17 +103,15 @@ def summary(found: Calibration, machine: AbstractDescription, out: Path) -> Iter
     if unknown:
         yield f"unchanged in {out}: {', '.join(unknown)}"
     if unknown and not found.withdrawn:
-        yield (
-            "what determines them: direct current, torque and speed that vary, or a "
-            "standstill with current besides; --resolution takes wider intervals"
-        )
+        needed, _ = machine.telling
+        yield f"what determines them: {needed}; --resolution takes wider intervals"
     wider = {name: found.allowed[name] for name in found.after if found.allowed[name]}
     if wider and not found.withdrawn:
         several = dict.fromkeys(field for fields in wider.values() for field in fields)
         yield (
             f"the intervals of {', '.join(wider)} allow for errors that this log does not "
-            f"rule out, one at a time: {named(tuple(several))}; a log that varies more, of "
-            "a motor in the direct current, tells them from the parameters"
+            f"rule out, one at a time: {named(tuple(several))}; {machine.telling[1]} tells "
+            "them from the parameters"
         )
     if errors:
         units = units_of(machine, found)
@@ -126,22 +124,21 @@ def summary(found: Calibration, machine: AbstractDescription, out: Path) -> Iter
 
 def of_record(machine: AbstractDescription, found: Calibration) -> list[str]:
     """The names of what was fitted and is no parameter of the machine."""
-    known = type(machine.machine).model_fields
+    known = machine.constants()
     return [name for name in found.after if name.partition("[")[0] not in known]
 
 
 def units_of(machine: AbstractDescription, found: Calibration) -> dict[str, str]:
     """The units of the parameters, and of the errors of the record, by name."""
-    fields, of = type(machine.machine).model_fields, machine.signals
+    constants, of = machine.constant_units(), machine.signals
     outputs, inputs = (measured_unit((*names, "")[0]) for names in (of.outputs, of.inputs))
     known = {"output_offset": outputs, "input_offset": inputs, "dead_time": inputs}
     known |= {"threshold": outputs, "delay": "samples", "gain": "", "encoder_offset": "rad"}
     units = {}
     for name in found.estimate:
         key = name.partition("[")[0]
-        if key in fields:
-            extra: Any = fields[key].json_schema_extra or {}
-            units[name] = extra.get("unit", "").replace("ohm", "Ω")
+        if key in constants:
+            units[name] = constants[key].replace("ohm", "Ω")
         else:
             units[name] = known.get(key, "")
     return units
@@ -203,7 +200,7 @@ def nothing_as_json(
     nothing = dict.fromkeys(("value", "half_width", "low", "high"))
     parameters: dict[str, Any] = {}
     for name in names:
-        old = np.asarray(getattr(machine.machine, name), float)
+        old = np.asarray(machine.constants()[name], float)
         for j, value in enumerate(old.ravel()):
             label = f"{name}[{j}]" if old.ndim else name
             parameters[label] = nothing | {

@@ -14,7 +14,8 @@ def derive(
         str,
         typer.Argument(
             metavar="MODEL.py:NAME",
-            help="An `aslo_jax.Model`, or what returns one; the file is run.",
+            help="An `aslo_jax.Model` or a mechanical system, or what returns one; the "
+            "file is run.",
         ),
     ],
     out: Annotated[
@@ -49,13 +50,20 @@ def derive(
         )
     double_precision()
     from .. import derivation
-    from ..machines import load_model
+    from ..machines import load_derivable
+    from ..plants import AbstractMechanicalSystem
 
-    derived = derivation.derive(load_model(f"{path.stem}:{name}", path.parent))
-    typer.echo(f"{derived}\n{derived.certificate()}")
-    if not derived.states:
-        raise ValueError("No state alone can be taken from this relation.")
-    text = f'[machine]\nkind = "derived"\nmodel = "{path.stem}:{name}"\n'
+    place = f"{path.stem}:{name}"
+    loaded = load_derivable(place, path.parent)
+    if isinstance(loaded, AbstractMechanicalSystem):
+        typer.echo(str(derivation.derive(loaded)))
+        text = f'[machine]\nkind = "mechanical"\nsystem = "{place}"\n'
+    else:
+        derived = derivation.derive(loaded)
+        typer.echo(f"{derived}\n{derived.certificate()}")
+        if not derived.states:
+            raise ValueError("No state alone can be taken from this relation.")
+        text = f'[machine]\nkind = "derived"\nmodel = "{place}"\n'
     with staged(target) as (part,):
         part.write_text(text, "utf-8")
     typer.echo(f"machine: {target}")

@@ -61,6 +61,14 @@ def export(
             help="A sample that is not finite: refused, or taken as missing.",
         ),
     ] = "refuse",
+    platform: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="A further platform for the binaries of an FMU, by its name in FMI 3, "
+            "such as x86_64-windows, by the ziglang wheel; repeatable.",
+        ),
+    ] = None,
     fixed: Annotated[
         list[str] | None,
         typer.Option(
@@ -81,6 +89,11 @@ def export(
     if target not in TARGETS:
         raise ValueError(
             f"--target must be one of {', '.join(TARGETS)}, but is {target!r}."
+        )
+    if platform and target == "c":
+        raise ValueError(
+            "--platform is of the binaries of an FMU, but --target is c, which has none; "
+            "remove it, or give --target fmu3."
         )
     if (interval is None) != variable_interval:
         raise ValueError(
@@ -109,7 +122,8 @@ def export(
     if target == "c":
         paths = exported.write(out)
     else:
-        paths = [exported.write_fmu(out / f"{name}.fmu", int(target[-1]))]
+        path = out / f"{name}.fmu"
+        paths = [exported.write_fmu(path, int(target[-1]), tuple(platform or ()))]
     for path in paths:
         typer.echo(path)
     typer.echo(
@@ -154,7 +168,7 @@ def exported_machine(
     outputs = None
     if connect is not None and "pll_bandwidth" in fields:
         bandwidth = rates["pll_bandwidth"].constant
-        if interval is not None and bandwidth > 0.5 / interval:
+        if interval is not None and interval * bandwidth > 0.5:
             raise MachineError(
                 f"the bandwidth of the phase-locked loop must be at most "
                 f"{0.5 / interval:.4g} rad/s for an interval of {interval:.4g} s, but is "

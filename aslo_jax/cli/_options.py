@@ -9,7 +9,7 @@ LogFile = Annotated[
     Path,
     typer.Argument(
         help="The log: text (.csv, .txt, .tsv, .dat, or these in .gz), .parquet, .npz, "
-        ".mat or .tdms."
+        ".mat, .tdms, or a bag of ROS (.bag, .mcap, .db3, or its folder)."
     ),
 ]
 MachineFile = Annotated[Path, typer.Option(help="The machine, a TOML file.")]

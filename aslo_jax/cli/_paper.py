@@ -10,9 +10,12 @@ from ._options import double_precision
 
 
 def paper(
-    section: Annotated[int, typer.Option(help="Section of the paper, for instance 2.")],
+    section: Annotated[
+        str, typer.Option(metavar="2|3|4|all", help="Section of the paper, or all.")
+    ],
     out: Annotated[Path, typer.Option(help="Directory for figures and tables.")],
 ) -> None:
     """Reproduce the figures and tables of a section of the paper."""
     double_precision()
-    importlib.import_module("aslo_jax.paper").run(section, out)
+    number = int(section) if section.isdecimal() else section
+    importlib.import_module("aslo_jax.paper").run(number, out)

@@ -178,7 +178,7 @@ class Summary:
             + (", smoothed over the whole log" if self.smoothed else "")
         )
         if is_lifted(settings):
-            yield from said_of(settings, ("A", "V"), self.noise)
+            yield from said_of(settings, self.machine.noise_units(), self.noise)
         for name, rate in self.rates.items():
             yield f"  {name} {rate}" + (f" ({rate.reason})" if rate.reason else "")
         for suffix, rows in self.coasting.items():

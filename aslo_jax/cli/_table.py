@@ -2,7 +2,7 @@
 
 import dataclasses
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -13,6 +13,7 @@ from .._checked_log import common_interval
 from .._replay import run_log
 from .._smooth import smooth
 from .._typing import Engine
+from ..derivation import StateObserver
 from ..diagnosis import Rows, absent_rows, bridged, touched
 from ..logs import Log
 from ..machines import AbstractDescription, Quantity
@@ -139,7 +140,7 @@ class Smoothed(Replayed):
     ) -> Any:
         observer = self.observer
         each = observer.observers if isinstance(observer, SideBySide) else observer
-        leaf = lambda x: isinstance(x, Lifted | Adaptive)
+        leaf = lambda x: isinstance(x, Lifted | Adaptive | StateObserver)
         lost = not (np.isfinite(u).all() and np.isfinite(y).all())
         one = lambda x: smooth(x, t, u, y, missing="coast" if lost else "refuse")
         done = jax.tree.map(one, each, is_leaf=leaf)
@@ -153,6 +154,8 @@ class Estimator:
     - `t`: every instant of the log (s), whose pieces come in order;
     - `first`: the row in which the loops start, by default the first certified one;
     - `smoothed`: whether it also looks ahead, in a log that comes in one piece;
+    - `observed(t, u, y)`: what gives the estimates of a piece, in place of the machine's
+      observer;
     - `offsets`: what is taken from the errors of angles (rad), by column;
     - `starts`: by suffix, the first certified row, once there is one.
     """
@@ -166,12 +169,15 @@ class Estimator:
         first: int | None = None,
         offsets: Mapping[str, float] | None = None,
         smoothed: bool = False,
+        observed: Callable[[Any, Any, Any], Any] | None = None,
     ) -> None:
         self.machine, self.starts = machine, dict[str, int]()
         self.offsets = offsets or {}
         interval = common_interval(t)
-        replayed = Smoothed if smoothed else Replayed
-        self.observed = replayed(machine.state_observer(rates), interval, substeps)
+        if observed is None:
+            replayed = Smoothed if smoothed else Replayed
+            observed = replayed(machine.state_observer(rates), interval, substeps)
+        self.observed: Any = observed
         self._tracked = [q for q in machine.quantities if q.tracks is not None]
         bandwidth = rates["pll_bandwidth"].constant if self._tracked else 0.0
         self._bandwidth = bandwidth

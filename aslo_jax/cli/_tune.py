@@ -101,10 +101,12 @@ def tune(
     say = (lambda text: None) if quiet else (lambda text: typer.echo(text, err=True))
     with staged(*outputs.values()) as parts:
         text, content, _ = read_study(config)
+        folder = Path(config).parent
         values: dict = {}
         warned: list[dict[str, Any]] = []
         if log is not None:
-            signals = machine_of(content).signals
+            described = machine_of(content, folder)
+            signals = described.signals
             recorded = read_log(
                 log,
                 signals,
@@ -122,9 +124,9 @@ def tune(
                     remove_offset,
                 ),
             )
-            found, values = calibrate_study(content, recorded, progress=say)
+            found, values = calibrate_study(content, recorded, folder=folder, progress=say)
             content = changed(content, values)
-            warned += warnings(found, (), machine_of(content))
+            warned += warnings(found, (), described)
             if not quiet:
                 typer.echo(str(found))
                 for line in _operated(values):
@@ -137,6 +139,7 @@ def tune(
             iterations=iterations,
             after=after,
             progress=lambda name: say(f"tuning {name}"),
+            folder=folder,
         )
         for name, each in tuned.items():
             if each.improved:

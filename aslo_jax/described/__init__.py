@@ -4,6 +4,7 @@ a study's observers by gradients, and the file with these values.
 Above `machines`, `study` and `tune`, which know nothing of each other's files.
 """
 
+from ..machines import machine_of as machine_of
 from ._calibrated import (
     calibrate_machine as calibrate_machine,
     calibrated_text as calibrated_text,
@@ -16,7 +17,6 @@ from ._tuned import (
     by_table as by_table,
     changed as changed,
     compared as compared,
-    machine_of as machine_of,
     tune_study as tune_study,
 )
 

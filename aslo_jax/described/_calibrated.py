@@ -35,12 +35,13 @@ def calibrate_machine(
     """
     names = parameters_of(machine, parameters)
     settings = machine.calibration.model_dump() | settings
+    given = {k: settings[k] for k in ("cutoff",) if settings.get(k) is not None}
     found = calibrate(
-        machine.plant(),
+        machine.fitted(log, given),
         log.t,
         log.u,
         log.y,
-        where=lambda plant: tuple(getattr(plant, name) for name in names),
+        where=lambda model: tuple(machine.leaf(model, name) for name in names),
         angle=log.angle,
         **settings,
     )
@@ -55,7 +56,7 @@ def parameters_of(
 
     **Raises:** [`MachineError`][], as [`calibrate_machine`][].
     """
-    kind, unknowns = machine.kind, machine.unknowns
+    kind, unknowns = machine.kind, machine.offered()
     if unknowns.refused or not unknowns.usual:
         raise MachineError(
             f'A machine of kind "{kind}" has no calibration: '
@@ -73,7 +74,8 @@ def parameters_of(
     if asked:
         return tuple(asked)
     # What is zero in the file is taken to be absent, unless it is asked for.
-    return tuple(n for n in every if np.any(np.asarray(getattr(machine.machine, n))))
+    constants = machine.constants()
+    return tuple(n for n in every if np.any(np.asarray(constants[n])))
 
 
 def _near(found: Calibration) -> Calibration:
@@ -96,15 +98,17 @@ def _near(found: Calibration) -> Calibration:
 
 
 def values_of(machine: AbstractDescription[Any, Any], found: Calibration) -> dict[str, Any]:
-    """The keys of `[machine]` that a calibration `found` to change, with their new values:
-    numbers, or lists of them. A value that is not determined stays.
+    """The constants of a machine, keys of its `[machine]`, that a calibration `found` to
+    change, with their new values: numbers, or lists of them. A value that is not determined
+    stays.
     """
     values: dict[str, Any] = {}
+    constants = machine.constants()
     for name in found.after:
         key, _, entry = name.partition("[")
-        if not np.isfinite(found.after[name]) or not hasattr(machine.machine, key):
+        if not np.isfinite(found.after[name]) or key not in constants:
             continue
-        old = np.asarray(getattr(machine.machine, key), float)
+        old = np.asarray(constants[key], float)
         new = np.array(values.get(key, old))
         if entry and new.ndim:
             new[int(entry.rstrip("]"))] = found.after[name]
@@ -114,13 +118,17 @@ def values_of(machine: AbstractDescription[Any, Any], found: Calibration) -> dic
     return values
 
 
-def calibrated_text(text: str, values: Mapping[str, Any]) -> str:
-    """A description, the `text` of its file, with new `values` in `[machine]`; all else,
-    comments too, as it was.
+def calibrated_text(
+    text: str, values: Mapping[str, Any], machine: AbstractDescription | None = None
+) -> str:
+    """A description, the `text` of its file, with new `values` of its constants; all else,
+    comments too, as it was. `machine`: the description, by default one whose constants are
+    keys of `[machine]`.
 
     **Raises:** [`MachineError`][] where a value is not on one line of its own.
     """
     try:
-        return rewritten(text, {"machine": values})
+        tables = {"machine": values} if machine is None else machine.in_file(values)
+        return rewritten(text, tables)
     except ValueError as error:
         raise MachineError(str(error)) from error

@@ -1,29 +1,30 @@
 """What a log tells of a study's file: its machine, its noise, its speed and load."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .._replay import replay
 from ..logs import Log
-from ..machines import AbstractDescription
+from ..machines import AbstractDescription, machine_of
 from ..schema._toml_text import rounded
 from ..tune import Calibration
 from ..tune._calibration.result import SETTLED
 from ._calibrated import calibrate_machine, values_of
-from ._tuned import changed, machine_of
+from ._tuned import changed
 
 # Of what is spread, which follows the speed or the load of a log.
 OPERATED = {"controller.reference.offset": "speed", "plant.load.offset": "load"}
 
 
 def calibrate_study(
-    content: Mapping[str, Any], log: Log, **settings: Any
+    content: Mapping[str, Any], log: Log, *, folder: Path = Path(), **settings: Any
 ) -> tuple[Calibration, dict[str, dict[str, Any]]]:
     """Calibrate the machine of a study's file from a log without ground truth.
 
-    - `content`: of the file, table by table; `log`: of the machine;
+    - `content`: of the file, table by table, which lies in `folder`; `log`: of the machine;
     - `settings`: of [`calibrate_machine`][].
 
     Returns the calibration, and new values by table and key: those of `machine` that the
@@ -33,11 +34,11 @@ def calibrate_study(
 
     **Raises:** [`MachineError`][] for a kind of machine that has no logs or no calibration.
     """
-    description = machine_of(content)
+    description = machine_of(content, folder)
     found = calibrate_machine(description, log, **settings)
     if found.withdrawn or found.reason != SETTLED:
         return found, {}
-    values: dict[str, dict[str, Any]] = {"machine": values_of(description, found)}
+    values = description.in_file(values_of(description, found))
     for k, disturbance in enumerate(content.get("sensor", ())):
         if disturbance["kind"] == "noise":
             noise = np.asarray(found.output_noise)
@@ -46,7 +47,7 @@ def calibrate_study(
             values[f"sensor.{k}"] = {"deviation": rounded(np.asarray(level).tolist())}
             break
     if content["control"]["kind"] == "field_oriented":
-        run = operation_in(machine_of(changed(content, values)), log)
+        run = operation_in(machine_of(changed(content, values), folder), log)
         for table, items in _operated(content, run).items():
             values[table] = values.get(table, {}) | items
     return found, values

@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -15,7 +16,6 @@ from .. import random
 from .._experiment import Experiment
 from .._typing import Engine
 from ..engines import run_batch
-from ..machines import AbstractDescription, known_kind
 from ..schema._toml_text import table_of
 from ..study._config import Configuration, ConfigurationError, configure
 from ..study._possible import refuse_impossible
@@ -61,6 +61,7 @@ def tune_study(
     engine: Engine = "auto",
     threads: int | None = None,
     progress: Callable[[str], None] = lambda name: None,
+    folder: Path = Path(),
 ) -> dict[str, Tuned]:
     """Tune the gains of every observer of a study's file, each on its own.
 
@@ -72,15 +73,16 @@ def tune_study(
       many fresh ones judge the result;
     - `iterations`: of [`fit`][] at most; `after` (s): from when on errors count;
     - `progress(name)`: called before each observer;
-    - `engine`, `threads`: of [`aslo_jax.run_batch`][].
+    - `engine`, `threads`: of [`aslo_jax.run_batch`][];
+    - `folder`: where the file lies, beside which it may name Python.
 
     The loss is the mean square error over time and samples.
 
     **Raises:** `ValueError` for a gain that is not there, or cannot be tuned by gradients,
     being no parameter of the observer but one of its design.
     """
-    configuration = configure(content)
-    keys = _keys(content, configuration, gains)
+    configuration = configure(content, folder)
+    keys = _keys(content, configuration, gains, folder)
     found = {}
     for name, named in keys.items():
         progress(name)
@@ -89,19 +91,6 @@ def tune_study(
             engine, threads,
         )  # fmt: skip
     return found
-
-
-def machine_of(content: Mapping[str, Any]) -> AbstractDescription:
-    """The machine of a study's file, its `content`, without what acts on it there, as
-    [`aslo_jax.machines.read_machine`][] gives it.
-
-    **Raises:** [`MachineError`][] for a kind of machine that has no logs.
-    """
-    machine = content["machine"]
-    kind = known_kind(machine["kind"], "`machine.kind` of a machine with a log")
-    table: Any = kind.model_fields["machine"].annotation
-    known = {k: v for k, v in machine.items() if k in table.model_fields}
-    return kind.model_validate({"machine": known})
 
 
 def changed(
@@ -149,7 +138,10 @@ def _bounds(key: str, numbers: Mapping[str, float]) -> tuple[float, float]:
 
 
 def _keys(
-    content: Mapping[str, Any], configuration: Configuration, gains: Sequence[str]
+    content: Mapping[str, Any],
+    configuration: Configuration,
+    gains: Sequence[str],
+    folder: Path,
 ) -> dict[str, dict[str, list[int]]]:
     """By observer and key the places of its leaves that hold the value of the key."""
     asked: dict[str, list[str]] = {}
@@ -171,7 +163,7 @@ def _keys(
         if gains and name not in asked:
             continue
         for key in asked.get(name, list(_numbers(table, every=False))):
-            places = _places(content, configuration, name, key)
+            places = _places(content, configuration, name, key, folder)
             if places:
                 keys.setdefault(name, {})[key] = places
             elif gains:
@@ -190,13 +182,17 @@ def _is_number(value: Any) -> bool:
 
 
 def _places(
-    content: Mapping[str, Any], configuration: Configuration, name: str, key: str
+    content: Mapping[str, Any],
+    configuration: Configuration,
+    name: str,
+    key: str,
+    folder: Path,
 ) -> list[int]:
     """Of the leaves of an observer that are the value of a key, and no other leaf depends
     on it."""
     value = _numbers(content["observers"][name], every=True)[key]
     try:
-        other = configure(changed(content, by_table(name, {key: CHANGE * value})))
+        other = configure(changed(content, by_table(name, {key: CHANGE * value})), folder)
     except ConfigurationError:
         return []
     old, new = (

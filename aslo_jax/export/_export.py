@@ -12,6 +12,7 @@ from .. import __version__
 from .._checks import positive
 from .._citation import described, made_of
 from .._typing import Missing, PyTree
+from .._written import write_files
 from ._blocks import Block, Chain, block_of
 from ._fields import RESERVED, Field
 from ._fmu import write_fmu
@@ -60,22 +61,23 @@ class Exported:
 
     def write(self, out: Path | str) -> list[Path]:
         """Write the files into the folder `out`, which is made: their paths."""
-        folder = Path(out)
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in self.files.items():
-            (folder / name).write_text(text, encoding="utf-8", newline="\n")
-        return [folder / name for name in self.files]
+        return write_files(Path(out), {k: text.encode() for k, text in self.files.items()})
 
-    def write_fmu(self, path: Path | str, version: int = 3) -> Path:
+    def write_fmu(
+        self, path: Path | str, version: int = 3, platforms: Sequence[str] = ()
+    ) -> Path:
         """Write an FMU of `version` 2 or 3 for co-simulation, around this C: its sources,
         and a binary for this platform by the system's C compiler or the ziglang wheel.
+        For further `platforms`, by their names in FMI 3, such as `"x86_64-windows"`, that
+        wheel is needed.
 
         The step at the time t takes the inputs of t, and the u of the step before, which
         was held until t: what it puts out at the end of a communication step is what is
         known at its beginning. Parameters are tunable; the state is got, set and
         serialised as bytes.
 
-        **Raises:** `ValueError` for another version; `OSError` without a compiler."""
+        **Raises:** `ValueError` for another version or an unknown platform; `OSError`
+        without a compiler."""
         if version not in (2, 3):
             raise ValueError(f"Argument `version` must be 2 or 3, but got {version!r}.")
         names = {f.name for f in self.inputs if not is_held(f)} - (
@@ -88,7 +90,6 @@ class Exported:
             "parameters": self.parameters,
         }
         path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
         write_fmu(
             path,
             version,
@@ -98,6 +99,7 @@ class Exported:
             fields,
             self.columns,
             self.notes,
+            platforms,
         )
         return path
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import importlib.util
+import io
 import platform
 import shutil
 import subprocess
@@ -14,39 +15,74 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from .. import __version__
+from .._interrupts import discard, unfinished
+from .._written import write_files
 from ._fields import Field
 from ._fmu_source import Variable, fmu_source, variables
 
-SUFFIX = {"linux": ".so", "darwin": ".dylib", "win32": ".dll"}
+# Platforms by their names in FMI 3, with what the ziglang wheel calls them; of Linux the
+# oldest C library that is still about.
+TARGETS = {
+    "x86_64-linux": "x86_64-linux-gnu.2.17",
+    "aarch64-linux": "aarch64-linux-gnu.2.17",
+    "x86_64-windows": "x86_64-windows-gnu",
+    "aarch64-windows": "aarch64-windows-gnu",
+    "x86_64-darwin": "x86_64-macos",
+    "aarch64-darwin": "aarch64-macos",
+}
+SUFFIX = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 FLAGS = ["-std=c99", "-O2", "-shared", "-fPIC", "-ffp-contract=off", "-fno-math-errno"]
 LONG_AGO = (1980, 1, 1, 0, 0, 0)  # the same bytes today and tomorrow
 
 
-def compiler() -> list[str]:
-    """The system's C compiler, or that of the ziglang wheel.
+def compiler(target: str) -> list[str]:
+    """The system's C compiler for this platform, or that of the ziglang wheel, which is for
+    every one of them.
 
     **Raises:** `OSError` without one."""
-    for name in ("cc", "gcc", "clang"):
+    names = ("cc", "gcc", "clang") if target == this_platform() else ()
+    for name in names:
         found = shutil.which(name)
         if found:
             return [found]
     if importlib.util.find_spec("ziglang") is not None:
-        return [sys.executable, "-m", "ziglang", "cc"]
+        # Without a target it takes what only the processor of this machine has.
+        chosen = ["-target", TARGETS[target]] if target in TARGETS else []
+        return [sys.executable, "-m", "ziglang", "cc", *chosen, "-s"]
     raise OSError(
-        "An FMU has a binary for this platform in it, but there is no C compiler: install "
-        'one, or "pip install ziglang".'
+        f"An FMU has a binary for {target} in it, but there is no C compiler for that: "
+        f'{"install one, or " if names else ""}"pip install ziglang".'
     )
 
 
-def folder_of(version: int) -> str:
-    """Where the binary of this platform is in an FMU."""
+def this_platform() -> str:
+    """The name of this platform in FMI 3."""
     system = {"win32": "windows"}.get(sys.platform, sys.platform)
     machine = platform.machine().lower()
     machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
-    if version == 3:
-        return f"{machine}-{system}"
-    short = {"windows": "win", "linux": "linux", "darwin": "darwin"}.get(system, system)
-    return f"{short}64" if machine == "x86_64" else f"{machine}-{system}"
+    return f"{machine}-{system}"
+
+
+def binary_of(target: str, version: int, prefix: str) -> str:
+    """The place of the binary of a platform in an FMU."""
+    machine, _, system = target.partition("-")
+    folder = target
+    if version == 2 and machine == "x86_64":
+        folder = f"{ {'windows': 'win'}.get(system, system) }64"
+    return f"binaries/{folder}/{prefix}{SUFFIX.get(system, '.so')}"
+
+
+def check_platforms(platforms: Sequence[str]) -> tuple[str, ...]:
+    """This platform and others, each once.
+
+    **Raises:** `ValueError` for one that is not known."""
+    for each in platforms:
+        if each not in TARGETS:
+            raise ValueError(
+                f"Argument `platforms` must hold names of {', '.join(TARGETS)}, but got "
+                f"{each!r}."
+            )
+    return tuple(dict.fromkeys([this_platform(), *platforms]))
 
 
 def write_fmu(
@@ -58,9 +94,11 @@ def write_fmu(
     fields: Mapping[str, Sequence[Field]],
     columns: Mapping[str, Sequence[str]],
     notes: Mapping[str, str],
+    platforms: Sequence[str] = (),
 ) -> None:
     """Write an FMU of version 2 or 3 around the `files` of an export, whose `fields` are
-    its `inputs`, `first`, `outputs` and `parameters`."""
+    its `inputs`, `first`, `outputs` and `parameters`, with binaries for this platform and
+    for further `platforms`."""
     given = [f for f in fields["inputs"] if f.name != "dt" or interval is not None]
     known = variables(given, fields["outputs"], fields["parameters"], columns, notes)
     code = f"{prefix}.c"
@@ -76,26 +114,28 @@ def write_fmu(
     inside: dict[str, bytes] = {
         "modelDescription.xml": describe(prefix, token, interval, known).encode(),
         "documentation/README.md": files["README.md"].encode(),
-        f"binaries/{folder_of(version)}/{prefix}{SUFFIX.get(sys.platform, '.so')}": _built(
-            sources
-        ),
     }
+    for target in check_platforms(platforms):
+        inside[binary_of(target, version, prefix)] = _built(sources, target)
     inside |= {f"sources/{name}": text.encode() for name, text in sources.items()}
     if version == 3:
         inside["sources/buildDescription.xml"] = _build(prefix, sources).encode()
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in sorted(inside.items()):
             info = zipfile.ZipInfo(name, LONG_AGO)
             info.external_attr = 0o644 << 16
             archive.writestr(info, content, zipfile.ZIP_DEFLATED)
+    write_files(path.parent, {path.name: whole.getvalue()})
 
 
-def _built(sources: Mapping[str, str]) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
+def _built(sources: Mapping[str, str], target: str) -> bytes:
+    gone = lambda: discard(Path(folder))
+    with tempfile.TemporaryDirectory() as folder, unfinished(gone):
         for name, text in sources.items():
             (Path(folder) / name).write_text(text)
         names = [name for name in sources if name.endswith(".c")]
-        command = [*compiler(), *FLAGS, "-o", "binary", *names]
+        command = [*compiler(target), *FLAGS, "-o", "binary", *names]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
         if done.returncode:
             raise OSError(f"The C compiler failed: {done.stderr.strip()}")

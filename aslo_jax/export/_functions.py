@@ -75,7 +75,7 @@ def _finite(fields: Iterable[Field], zero: str, prefix: str) -> list[str]:
         name = f"{field.name}[i]" if field.is_array else field.name
         each = _when(f"!(({name} - {name}) == {zero})", prefix, "NOT_FINITE")
         if field.is_array:
-            loop = f"for (i = 0; i < {field.size}; ++i) {{"
+            loop = f"for (i = 0U; i < {field.size}U; ++i) {{"
             each = [loop, *indented(each), "}"]
         lines += each
     return lines

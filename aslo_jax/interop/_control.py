@@ -11,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 from .._checks import positive
 from .._extras import require
 from ..observers import AbstractObserver
+from ._realised import value_of
 
 __all__ = ["to_nlsys"]
 
@@ -38,11 +39,7 @@ def to_nlsys(observer: AbstractObserver, *, interval: float, u: Any, y: Any) -> 
     u, y = (jnp.atleast_1d(jnp.asarray(x, float)) for x in (u, y))
     state = observer.init(y, u)
     estimate = jax.eval_shape(lambda: observer.estimate(jnp.zeros(()), state, u, y))
-    if not isinstance(getattr(estimate, "value", None), jax.ShapeDtypeStruct):
-        raise ValueError(
-            "Argument `observer` must have one vector as its estimate, but that of "
-            f"{type(observer).__name__} is of several; take one of them."
-        )
+    value_of(estimate, type(observer).__name__)
     start, unravel = ravel_pytree((state, u))
 
     def both(x: Any, given: Any) -> tuple[jax.Array, jax.Array]:

@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike
 
 from .._checks import real
 from .._extras import require
-from .._filters import LinearFilter
+from .._laws import AbstractFilter
 from .._typing import PyTree, RealArray
-from ..observers import ReducedLuenberger, SteadyStateKalman
+from ..observers import AbstractObserver, ReducedLuenberger, SteadyStateKalman
 from ..plants import AbstractPlant
+from ._realised import matrices_of_filter, matrices_of_observer
 
 __all__ = ["LinearPlant", "kalman", "luenberger", "plant", "to_control", "to_scipy"]
 
@@ -91,36 +92,42 @@ def luenberger(system: Any, poles: ArrayLike) -> ReducedLuenberger:
     return ReducedLuenberger(A, B, placed.gain_matrix.T)
 
 
-def to_scipy(module: Any) -> Any:
-    """A `module`, a linear observer, filter or plant, as a `scipy.signal.StateSpace`.
+def to_scipy(module: Any, *, u: Any = None, y: Any = None) -> Any:
+    """A linear `module`, an observer, a filter or a plant, as a `scipy.signal.StateSpace`.
 
     The inputs of an observer are those of u and then those of y, its outputs the value of
     its estimate; the state of a [`ReducedLuenberger`][] is its inner one, without `gain y`.
+    An observer begins with its first sample, and a `StateSpace` at zero.
 
-    **Raises:** `ValueError` for another module.
+    - `u`, `y`: examples of the input and the measurement of an observer that does not
+      declare them, vectors of which the shape matters.
+
+    **Raises:** `ValueError` for what is not linear, also a filter whose rate varies, or has
+    several estimates.
     """
     import scipy.signal
 
-    return scipy.signal.StateSpace(*_realisation(module))
+    return scipy.signal.StateSpace(*_realisation(module, u, y)[:4])
 
 
-def to_control(module: Any) -> Any:
-    """A `module` of [`to_scipy`][] as a `control.StateSpace`.
+def to_control(module: Any, *, u: Any = None, y: Any = None) -> Any:
+    """A `module` of [`to_scipy`][] as a `control.StateSpace`, for Bode plots and poles.
 
     Its signals are named `u0`, `y0`, `value0` and so on (of a filter `s` and `filtered`; of
     a plant `u0` and `y0`).
 
+    - `u`, `y`: as of [`to_scipy`][].
+
     **Raises:** `ValueError` as [`to_scipy`][]; `ImportError` without python-control.
     """
     control = require("control", "interop")
-    matrices = _realisation(module)
+    *matrices, m = _realisation(module, u, y)
     D = matrices[3]
-    if isinstance(module, LinearFilter):
+    if isinstance(module, AbstractFilter):
         inputs, outputs = ["s"], ["filtered"]
     elif isinstance(module, LinearPlant):
-        inputs, outputs = _named("u", D.shape[1]), _named("y", D.shape[0])
+        inputs, outputs = _named("u", m), _named("y", D.shape[0])
     else:
-        m = module.B.shape[1]
         inputs = _named("u", m) + _named("y", D.shape[1] - m)
         outputs = _named("value", D.shape[0])
     return control.ss(*matrices, inputs=inputs, outputs=outputs)
@@ -146,12 +153,13 @@ def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return A, B, C
 
 
-def _realisation(module: Any) -> tuple[np.ndarray, ...]:
+def _realisation(module: Any, u: Any, y: Any) -> tuple[Any, ...]:
+    """A, B, C and D, and how many of the inputs are those of u."""
     if isinstance(module, SteadyStateKalman):
         A, B, C, L = (np.asarray(x) for x in (module.A, module.B, module.C, module.gain))
         out = np.eye(len(A)) if module.select is None else np.asarray(module.select)
         given = np.hstack([B, L])
-        return A - L @ C, given, out, np.zeros((len(out), given.shape[1]))
+        return A - L @ C, given, out, np.zeros((len(out), given.shape[1])), B.shape[1]
     if isinstance(module, ReducedLuenberger):
         A, B, L = (np.asarray(x) for x in (module.A, module.B, module.gain))
         p = L.shape[1]
@@ -159,15 +167,25 @@ def _realisation(module: Any) -> tuple[np.ndarray, ...]:
         of_y = error @ L + A[p:, :p] - L @ A[:p, :p]
         given = np.hstack([B[p:] - L @ B[:p], of_y])
         through = np.hstack([np.zeros((len(L), B.shape[1])), L])
-        return error, given, np.eye(len(L)), through
-    if isinstance(module, LinearFilter):
-        D = 0.0 if module.D is None else float(module.D)
-        B, C = np.asarray(module.B)[:, None], np.asarray(module.C)[None]
-        return np.asarray(module.A), B, C, np.array([[D]])
+        return error, given, np.eye(len(L)), through, B.shape[1]
+    if isinstance(module, AbstractFilter):
+        return *matrices_of_filter(module), 0
     if isinstance(module, LinearPlant):
         A, B, C = (np.asarray(x) for x in (module.A, module.B, module.C))
-        return A, B, C, np.zeros((len(C), B.shape[1]))
+        return A, B, C, np.zeros((len(C), B.shape[1])), B.shape[1]
+    if isinstance(module, AbstractObserver):
+        given = {"u": u, "y": y}
+        for name, example in given.items():
+            shape = getattr(module, "signals", {}).get(name)
+            if example is None and (shape is None or None in shape):
+                raise ValueError(
+                    f"Argument `{name}` must be given: an example of the input `{name}`, "
+                    "of which only the shape matters, since the observer does not "
+                    "declare it."
+                )
+            given[name] = jnp.zeros(shape) if example is None else jnp.asarray(example)
+        return *matrices_of_observer(module, **given), given["u"].size
     raise ValueError(
-        "Argument `module` must be a `SteadyStateKalman`, `ReducedLuenberger`, "
-        f"`LinearFilter` or `LinearPlant`, but is a `{type(module).__name__}`."
+        "Argument `module` must be an observer, a filter or a `LinearPlant`, but is a "
+        f"`{type(module).__name__}`."
     )

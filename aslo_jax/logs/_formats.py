@@ -5,6 +5,7 @@ from pathlib import Path
 from ._csv import read_text
 from ._error import LogError
 from ._matlab import read_matlab
+from ._ros import METADATA, read_bag
 from ._source import Source, read_npz, read_parquet
 from ._tdms import read_tdms
 
@@ -17,6 +18,9 @@ READERS = {
     ".npz": read_npz,
     ".mat": read_matlab,
     ".tdms": read_tdms,
+    ".bag": read_bag,
+    ".mcap": read_bag,
+    ".db3": read_bag,
 }
 COMPRESSED = (".csv", ".txt", ".tsv", ".dat", "")
 
@@ -29,7 +33,11 @@ def open_source(path: Path) -> Source:
     if not path.exists():
         raise FileNotFoundError(f"{path} does not exist.")
     if path.is_dir():
-        raise LogError(f"{path} is a directory, but a log is a file.")
+        if (path / METADATA).exists():
+            return read_bag(path)
+        raise LogError(
+            f"{path} is a directory, but a log is a file, or a ROS 2 bag with {METADATA}."
+        )
     suffix = path.suffix.lower()
     if suffix == ".gz" and path.with_suffix("").suffix.lower() in COMPRESSED:
         return read_text(path)

@@ -83,7 +83,7 @@ class Log:
 
 class LogReader:
     """A log that is read, checked and given piece by piece, so that it need not fit into
-    memory. A [`Source`][] may stand for a path.
+    memory. A `Source` may stand for a path.
 
     - `path`, `signals`, `columns`, `max_gap` (s), `frame`, `missing`, `most_missing`,
       `remove_offset`: as in [`read_log`][], and so is the argument `truth`.
@@ -307,7 +307,7 @@ def read_log(
     remove_offset: str | None = None,
 ) -> Log:
     """Read the log `path`: text (.csv, .txt, .tsv, .dat, or one of these in .gz), .parquet,
-    .npz, .mat or .tdms.
+    .npz, .mat, .tdms, or a bag of ROS 1 or 2 (.bag, .mcap, .db3, or its folder).
 
     - `signals`: the columns to read, by default those of a motor;
     - `columns`: what the file calls a column, `{"u_alpha": "Ualpha"}`, where it is not

@@ -246,6 +246,5 @@ def _refuse_clocks(source: Source, chosen: Mapping[str, Column]) -> None:
             if clock and times != {clock}:
                 raise LogError(
                     f"{source.path}, column `{name}` has the instants `{clock}`, which are "
-                    f"not those of `t`, `{chosen['t'].label}`; resample every signal to "
-                    "the same instants."
+                    f"not those of `t`, `{chosen['t'].label}`; {source.resampled}."
                 )

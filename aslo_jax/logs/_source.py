@@ -33,7 +33,8 @@ class Source:
     - `where(row)`: the place of a row, in words;
     - `units`: what it says of them, by name;
     - `unusable`: what it has beside them, and why that is no column;
-    - `clocks`: the column of its instants, of a column that has instants of its own.
+    - `clocks`: the column of its instants, of a column that has instants of its own;
+    - `resampled`: what to do where columns with different ones are needed.
     """
 
     path: Path | str
@@ -43,6 +44,7 @@ class Source:
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
     unusable: Mapping[str, str] = dataclasses.field(default_factory=dict)
     clocks: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    resampled: str = "resample every signal to the same instants"
 
 
 def row_of(index: int) -> str:

@@ -27,9 +27,14 @@ from ._base import (
     Rate as Rate,
     Unknowns as Unknowns,
 )
-from ._derived import DerivedDescription as DerivedDescription, load_model as load_model
+from ._derived import DerivedDescription as DerivedDescription
+from ._derived_study import load_derivable as load_derivable, load_model as load_model
 from ._drive import DriveDescription as DriveDescription
-from ._file import read_machine as read_machine, template as template
+from ._file import (
+    machine_of as machine_of,
+    read_machine as read_machine,
+    template as template,
+)
 from ._frequency import (
     cutoff_for_positions as cutoff_for_positions,
     typical_frequency as typical_frequency,
@@ -65,6 +70,7 @@ __all__ = [
     "cutoff_for",
     "cutoff_for_positions",
     "electrical_speed",
+    "load_derivable",
     "load_model",
     "read_machine",
     "template",

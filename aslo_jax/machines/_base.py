@@ -1,7 +1,6 @@
 """The protocol of every kind of machine description."""
 
 import abc
-import dataclasses
 import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Generic, TypeVar, get_args
@@ -16,9 +15,10 @@ from ..diagnosis import Circle
 from ..logs import Log, Signals
 from ..observers import AbstractObserver, AlgebraicObserver, Asymptotic
 from ..plants import AbstractPlant
-from ..schema import Table, is_rate
+from ..schema import Table, is_rate, unit_of
 from ._condensed import CondensedLog, Condensing, blocks
 from ._keys import CalibrationTable
+from ._layout import Layout as Layout, Quantity as Quantity, Unknowns as Unknowns
 from ._lifted import NO_EFFECT, is_lifted, kind_of, no_effect
 from ._noise import Groups, Noise, pooled, white_noise
 from ._rates import Rate, Rates, low_pass
@@ -31,56 +31,7 @@ class MachineError(ValueError):
     """A machine description that cannot be used: names file, key and allowed values."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Quantity:
-    """What is estimated, scored and drawn as one.
-
-    - `name`, in words; `columns` of the table of estimates, `unit` of them all;
-    - `suffix`: of the columns `certificate` and `coasting` that speak for it;
-    - `angle`: whether it is an unwrapped angle (rad);
-    - `turns`: whether it turns so often in a log that it is drawn in close-ups;
-    - `tracks`: the column of the angle (rad) whose phase-locked loop gives it; every other
-      column comes from [`AbstractDescription.columns`][].
-    """
-
-    name: str
-    columns: tuple[str, ...]
-    unit: str
-    suffix: str = ""
-    angle: bool = False
-    turns: bool = False
-    tracks: str | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class Layout:
-    """The columns in, `signals`, and what is estimated from them, `quantities`, in the
-    order of the table of estimates.
-    """
-
-    signals: Signals
-    quantities: tuple[Quantity, ...]
-
-    def suffixes(self) -> list[str]:
-        """Those of the columns `certificate` and `coasting`."""
-        return list(dict.fromkeys(quantity.suffix for quantity in self.quantities))
-
-
 FROM_THE_LOG = ("cutoff", "pll_bandwidth")
-
-
-@dataclasses.dataclass(frozen=True)
-class Unknowns:
-    """The keys of `[machine]` that can be found from a log.
-
-    - `usual`: those that its relation depends on, and that are not simply known; `further`:
-      those that are found only if they are asked for;
-    - `refused`: why there are none, as the end of a sentence.
-    """
-
-    usual: tuple[str, ...] = ()
-    further: tuple[str, ...] = ()
-    refused: str = ""
 
 
 M = TypeVar("M", bound=Table)
@@ -101,8 +52,9 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
     - `refused`: keys of `[observer]` that other kinds have and this one cannot, and why;
     - `longest_interval` (s): a median interval above it makes one doubt the unit of `t`;
     - `memory`: on how many rows before it a row of the residuals depends;
-    - `unknowns`: what a calibration may find; `study`: how the kind takes part in studies,
-      `None` where it does not.
+    - `unknowns`: what a calibration may find; `telling`: what a log of this kind needs to
+      determine it, and what tells it from errors of the record;
+    - `study`: how the kind takes part in studies, `None` where it does not.
 
     **Raises:** [`MachineError`][] for a key that its kind refuses, and where a rate is to
     be chosen for a log that is not given; `TypeError` for a kind that is defined without
@@ -122,6 +74,10 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
     longest_interval: ClassVar[float]
     memory: ClassVar[int] = 0
     unknowns: ClassVar[Unknowns] = Unknowns(refused="its description offers no parameters")
+    telling: ClassVar[tuple[str, str]] = (
+        "direct current, torque and speed that vary, or a standstill with current besides",
+        "a log that varies more, of a motor in the direct current,",
+    )
     study: ClassVar[Study | None] = None
 
     @classmethod
@@ -207,6 +163,37 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         drive, an angle (rad, wrapped) among them, as `connect` of a [`Staged`][] observer;
         `None` where the kind has none."""
         return None
+
+    def offered(self) -> Unknowns:
+        """What a calibration of this machine may find; by default the `unknowns` of its
+        kind."""
+        return self.unknowns
+
+    def constants(self) -> Mapping[str, Any]:
+        """The values, by name, of what a calibration may find: numbers, or lists."""
+        return self.machine.model_dump(exclude={"kind"})
+
+    def constant_units(self) -> Mapping[str, str]:
+        """The units of the `constants`, by name."""
+        return {k: unit_of(f) for k, f in type(self.machine).model_fields.items()}
+
+    def in_file(self, values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+        """New `values` of the constants, by table of the file and key."""
+        return {"machine": dict(values)}
+
+    def fitted(self, log: Log, given: Mapping[str, float]) -> Any:
+        """What a calibration fits to a `log`, by default the plant; rates that are `given`
+        (rad/s) are those of an observer."""
+        del log, given
+        return self.plant()
+
+    def leaf(self, model: Any, name: str) -> Any:
+        """A constant in the tree of what is `fitted`."""
+        return getattr(model, name)
+
+    def noise_units(self) -> tuple[str, str]:
+        """The units of the noise of y and of u."""
+        return "A", "V"
 
     @property
     def pole_pairs(self) -> int | None:

@@ -1,24 +1,19 @@
 """`kind = "derived"`: any system, written in Python as a model."""
 
+import functools
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from pydantic import Field, PrivateAttr, model_validator
 
-from .._completions import LeastSquares, Repeat
-from .._derive.plant import ModelPlant
 from .._filters import LowPass
-from .._guard import Guard
-from ..derivation import Derived, Model, derive, model_of
+from ..derivation import Derived
 from ..logs import Log, Signals
-from ..observers import AbstractObserver
-from ..plants import AbstractModelledPlant
-from ..schema import Positive, Table, key
-from . import _keys as keys
+from ..observers import AbstractObserver, AlgebraicObserver
+from ..schema import Positive
+from . import _keys as keys, _lifted
 from ._base import (
     AbstractDescription,
     Columns,
@@ -34,10 +29,16 @@ from ._base import (
     relative,
 )
 from ._condensed import CondensedLog
+from ._derived_study import (
+    STUDY,
+    THRESHOLD,
+    DerivedTable,
+    slowest_of,
+    state_observer,
+)
 from ._frequency import cutoff_for_positions
-from ._python import load
+from ._study import Study
 
-THRESHOLD = 1e-6  # relation's x may have many entries: a relative error of 0.1 %
 FASTER = 1.5  # than the slowest filter that the relation allows
 WINDOW = 100  # rows over which states are compared with their rates
 EXAMPLE = Layout(
@@ -51,36 +52,17 @@ EXAMPLE = Layout(
 )
 
 
-def load_model(path: str, folder: Path) -> Model:
-    """The model of an import `path`, `"module:attribute"`, whose module may lie in
-    `folder`; of a plant that is one, that.
-
-    **Raises:** [`MachineError`][].
-    """
-    what, wanted = f"`machine.model`, {path}:", (Model, AbstractModelledPlant)
-    found = load(path, folder, what, wanted, "an `aslo_jax.Model`, or a plant that is one")
-    return found if isinstance(found, Model) else model_of(found)
-
-
-class DerivedTable(Table):
-    """`[machine]` of a system of one's own."""
-
-    kind: Literal["derived"] = key("the kind of machine", example="derived")
-    model: Annotated[str, Field(pattern=r"^\w+(\.\w+)*:\w+(\.\w+)*$")] = key(
-        "an `aslo.Model`, a plant that is one, or what returns one; Python that is run",
-        example="motor:model",
-        allowed='"module:attribute", with dots where there are packages',
-    )
-
-
-class DerivedObserverTable(Table):
+class DerivedObserverTable(_lifted.ObserverTable):
     """`[observer]` of a derived relation, all optional."""
 
+    kind: _lifted.ObserverKind = _lifted.kind_key()
     cutoff: Positive | None = keys.cutoff(example=30.0)
     completion: keys.Completion = keys.completion()
     start: keys.Start = keys.start()
     gain: Positive | None = keys.gain()
     threshold: Positive = keys.threshold(THRESHOLD)
+    output_deviation: _lifted.Deviation | None = _lifted.deviation_key("outputs", 0.01)
+    input_deviation: _lifted.Deviation | None = _lifted.deviation_key("inputs", 0.01)
 
 
 class DerivedDescription(AbstractDescription[DerivedTable, DerivedObserverTable]):
@@ -93,7 +75,6 @@ class DerivedDescription(AbstractDescription[DerivedTable, DerivedObserverTable]
 
     machine: DerivedTable
     observer: DerivedObserverTable = DerivedObserverTable()
-    _found: Any = PrivateAttr(default=None)
 
     kind = "derived"
     title: ClassVar[str] = "System of one's own"
@@ -107,37 +88,63 @@ class DerivedDescription(AbstractDescription[DerivedTable, DerivedObserverTable]
     }
     longest_interval: ClassVar[float] = 10.0
     memory: ClassVar[int] = WINDOW
-    unknowns: ClassVar[Unknowns] = Unknowns(
-        refused="its parameters are in Python; name them in `unknown` of the model, or use "
-        "`aslo_jax.tune.calibrate` there"
+    unknowns: ClassVar[Unknowns] = Unknowns(usual=("parameters",))
+    telling: ClassVar[tuple[str, str]] = (
+        "inputs that vary more, or others of them that are known (option --parameter), "
+        "where only their ratios matter",
+        "a log that varies more",
     )
-
-    @model_validator(mode="after")
-    def _load(self, info):
-        folder = (info.context or {}).get("folder", Path())
-        path = self.machine.model
-        what = f"`machine.model`, {path}:"
-        model = load_model(path, folder)
-        try:
-            self._found = derive(model)
-        except ValueError as error:
-            raise ValueError(f"{what} {error}") from error
-        if not self._found.states:
-            raise ValueError(
-                f"{what} the relation tells of {', '.join(self._found.lifted)}, from which "
-                "no state alone can be taken"
-            )
-        return self
+    study: ClassVar[Study | None] = STUDY
 
     def found(self) -> Derived:
         """What was derived."""
-        return self._found
+        return self.machine.found()
 
     def plant(self) -> Any:
-        return ModelPlant(self._found.model)
+        return self.found().plant()
+
+    def offered(self) -> Unknowns:
+        known = tuple(self.found().model.known)
+        none = "" if known else "its model has no parameters that are known"
+        return Unknowns(known, refused=none)
+
+    def constants(self) -> Mapping[str, Any]:
+        return self.found().model.known
+
+    def constant_units(self) -> Mapping[str, str]:
+        model = self.found().model
+        return {name: model.unit(name) for name in model.known}
+
+    def in_file(self, values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+        if self.machine.parameters:
+            return {"machine.parameters": dict(values)}
+        return {"machine": {"parameters": dict(values)}} if values else {}
+
+    def fitted(self, log: Log, given: Mapping[str, float]) -> Any:
+        """The plant, or where the model does not give the outputs, its relation alone."""
+        found = self.found()
+        try:
+            return found.plant()
+        except ValueError as error:
+            relation = found.relation
+            if relation.kind == "rows" or not relation.parameters:
+                raise MachineError(f"No calibration: {error}") from error
+            filter = LowPass(self.rates(log, given)["cutoff"].constant)
+            return AlgebraicObserver(relation, filter)
+
+    def leaf(self, model: Any, name: str) -> Any:
+        whole: Any = model.relation if isinstance(model, AlgebraicObserver) else model
+        return whole.parameters[name]
+
+    def noise_groups(self):
+        singly = lambda names: tuple((k,) for k in range(len(names)))
+        return singly(self.signals.inputs), singly(self.signals.outputs)
+
+    def noise_units(self) -> tuple[str, str]:
+        return "", ""
 
     def columns_of_log(self):
-        model, states = self._found.model, self._found.states
+        model, states = self.found().model, self.found().states
         names = [*model.inputs, *model.outputs, *states]
         units = [f"{n} {model.unit(n)}" for n in names if model.unit(n)]
         signals = Signals(
@@ -150,9 +157,7 @@ class DerivedDescription(AbstractDescription[DerivedTable, DerivedObserverTable]
         return Layout(signals, tuple(quantities))
 
     def default_rates(self, log: CondensedLog | None, stated: Mapping[str, float]) -> Rates:
-        slowest = self._found.slowest
-        if self.observer.completion == "repeat":
-            slowest = 0.5 * slowest
+        slowest = slowest_of(self.found(), self.observer.completion)
         if "cutoff" in stated:
             if stated["cutoff"] <= slowest:
                 raise MachineError(
@@ -174,30 +179,35 @@ class DerivedDescription(AbstractDescription[DerivedTable, DerivedObserverTable]
 
     def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         settings, gain = self.observer, rates.get("gain")
-        averaged = settings.completion == "least-squares"
-        return self._found.observer(
-            LowPass(rates["cutoff"].value),
-            completion=LeastSquares() if averaged else Repeat(),
-            guard=Guard(threshold=settings.threshold),
-            start=settings.start,
-            gain=None if gain is None else gain.value,
+        if _lifted.is_lifted(settings):
+            return _lifted.lifted_states(self.found(), settings)
+        return state_observer(
+            self.found(),
+            rates["cutoff"].value,
+            settings.completion,
+            settings.threshold,
+            settings.start,
+            None if gain is None else gain.value,
         )
 
     def columns(self, estimate: Any, log: Log) -> Columns:
-        return in_columns(self._found.states, estimate.value) | certified(estimate)
+        states = self.found().states
+        found = in_columns(states, estimate.value) | certified(estimate)
+        return found | _lifted.deviations_of(states, estimate)
 
     def truth(self, log: Log) -> Columns:
         return {name.removesuffix("_true"): column for name, column in log.truth.items()}
 
     def residuals(self, columns: Columns, log: Log) -> Columns:
-        states, steps = self._found.states, np.diff(log.t)
+        states, steps = self.found().states, np.diff(log.t)
         x = np.stack([columns[name] for name in states], axis=1)
-        rate = jax.jit(jax.vmap(self._found.coordinates.rate))
-        rates = np.asarray(rate(*map(jnp.asarray, (x, log.u, log.y))))
-        found = {}
+        found = self.found()
+        of = functools.partial(found.coordinates.rate, found.relation.values)
+        rates = np.asarray(jax.jit(jax.vmap(of))(*map(jnp.asarray, (x, log.u, log.y))))
+        left = {}
         for name, value, slope in zip(states, x.T, rates.T, strict=True):
             mean = 0.5 * (slope[1:] + slope[:-1]) * steps
             error = over_window(np.diff(value) - mean, WINDOW)
             size = over_window(np.abs(mean), WINDOW) + np.abs(value)
-            found[name] = relative(error, size)
-        return found
+            left[name] = relative(error, size)
+        return left

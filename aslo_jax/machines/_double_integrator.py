@@ -31,9 +31,8 @@ def _luenberger(keys: Any, plant: Any, start: Any) -> AbstractObserver:
 
 def _kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
     del plant, start
-    offers.refuse_list(keys, "measurement")
-    offers.refuse_list(keys, "process")
     offers.refuse_keys(keys, "voltage", "drift")
+    offers.one_number(keys, "process", "measurement")
     A, B, C = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]]
     process = jnp.asarray(keys.process, float)
     return SteadyStateKalman.design(A, B, C, float(process), keys.measurement, [[0.0, 1.0]])

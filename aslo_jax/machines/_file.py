@@ -33,6 +33,19 @@ def read_machine(path: Path | str) -> AbstractDescription:
         raise MachineError(f"{path}: {faults}.") from None
 
 
+def machine_of(content: Mapping[str, Any], folder: Path = Path()) -> AbstractDescription:
+    """The machine of a study's file, its `content`, without what acts on it there, as
+    [`read_machine`][] gives it; the file lies in `folder`.
+
+    **Raises:** [`MachineError`][] for a kind of machine that has no logs.
+    """
+    machine = content["machine"]
+    kind = known_kind(machine["kind"], "`machine.kind` of a machine with a log")
+    table: Any = kind.model_fields["machine"].annotation
+    known = {k: v for k, v in machine.items() if k in table.model_fields}
+    return kind.model_validate({"machine": known}, context={"folder": folder})
+
+
 def template(kind: str) -> str:
     """An example of a description of the `kind`, as TOML with a comment for every key."""
     description = known_kind(kind, "Argument `kind` (option --kind)")

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from pydantic import Field, model_validator
 
 from .._guard import Guard
+from ..derivation import Derived, StateObserver
 from ..observers import Adaptive, Lifted
 from ..schema import Positive, Table, key
 
@@ -139,17 +140,21 @@ def limit_of(settings: Any) -> float:
     return THRESHOLD if by_default else settings.threshold
 
 
-def lifted(relation: Callable[..., Any], settings: Any) -> Lifted | Adaptive:
-    """The Kalman filter of a relation, its parameters known or not.
-
-    **Raises:** `ValueError` without deviations.
-    """
+def _refuse_unknown_noise(settings: Any) -> None:
     for name in ("output_deviation", "input_deviation"):
         if getattr(settings, name) is None:
             raise ValueError(
                 f"`observer.{name}` must be given, or found from a log: use the machine "
                 "that its `with_noise_of(log)` returns."
             )
+
+
+def lifted(relation: Callable[..., Any], settings: Any) -> Lifted | Adaptive:
+    """The Kalman filter of a relation, its parameters known or not.
+
+    **Raises:** `ValueError` without deviations.
+    """
+    _refuse_unknown_noise(settings)
     array = lambda x: jnp.asarray(x, float)
     if is_adaptive(settings):
         return adaptive(relation, settings)
@@ -160,6 +165,21 @@ def lifted(relation: Callable[..., Any], settings: Any) -> Lifted | Adaptive:
         prior=settings.prior,
         guard=Guard(limit_of(settings)),
     )
+
+
+def lifted_states(found: Derived, settings: Any) -> StateObserver:
+    """The Kalman filter of a derived relation, as an observer of states.
+
+    **Raises:** `ValueError` without deviations."""
+    _refuse_unknown_noise(settings)
+    deviations = (
+        jnp.broadcast_to(jnp.asarray(given, float), (len(names),))
+        for given, names in (
+            (settings.output_deviation, found.model.outputs),
+            (settings.input_deviation, found.model.inputs),
+        )
+    )
+    return found.kalman_filter(*deviations, threshold=limit_of(settings))
 
 
 def adaptive(relation: Callable[..., Any], settings: Any) -> Adaptive:

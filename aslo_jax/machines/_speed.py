@@ -28,7 +28,7 @@ def electrical_speed(
 ) -> float:
     """The typical electrical speed of a log (rad/s), unsigned, without an observer, from
     voltages `u` (V), shape `(N, 2)`, and currents `y` (A), shape `(N, 2)`, at `t` (s),
-    shape `(N,)`, with a phase `resistance` R (ohm): the [`turning_speed`][] of `u - R i`
+    shape `(N,)`, with a phase `resistance` R (ohm): the `turning_speed` of `u - R i`
     (V), the derivative of the flux.
     """
     return turning_speed(t, u - resistance * y)

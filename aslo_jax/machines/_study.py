@@ -50,7 +50,10 @@ class Study:
     - `controls`: the kinds of `[control]` that suit it;
     - `metrics`: the kinds of `[metrics.NAME]` that suit it, beside those for any machine;
     - `bound`: whether its Cramer-Rao bound can be had;
-    - `start(plant, table)`: the first state, `None` for the plant's own.
+    - `start(plant, table)`: the first state, `None` for the plant's own;
+    - `leaf_units`: the units of what may be spread, by path, beside keys of the machine;
+    - `of(table)`: of the machine of one file, where `entries`, `units` and `observers`
+      depend on that; the names in `observers` are then those of every one.
     """
 
     machine: type[Table]
@@ -63,6 +66,12 @@ class Study:
     metrics: tuple[str, ...] = ()
     bound: bool = False
     start: Callable[[AbstractPlant, Any], Any] = first_state
+    leaf_units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    of: "Callable[[Any], Study] | None" = None
+
+    def of_file(self, table: Any) -> "Study":
+        """The study of the machine of a file."""
+        return self if self.of is None else self.of(table)
 
     @property
     def kind(self) -> str:

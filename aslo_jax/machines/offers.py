@@ -78,15 +78,16 @@ def refuse_keys(keys: Any, *names: str) -> None:
             )
 
 
-def refuse_list(keys: Any, name: str) -> None:
-    """Refuse a list where one number is meant.
+def one_number(keys: Any, *names: str) -> None:
+    """Refuse several numbers where an observer takes one.
 
     **Raises:** `ValueError`.
     """
-    if isinstance(getattr(keys, name), list):
-        raise ValueError(
-            f"`{name}` must be one number for this machine, but is {getattr(keys, name)}"
-        )
+    for name in names:
+        if isinstance(value := getattr(keys, name), list):
+            raise ValueError(
+                f"`{name}` must be one number for this machine, but is {value}"
+            )
 
 
 def _guard(keys: Any, threshold: float) -> Guard:
@@ -169,8 +170,8 @@ def of_round_motor() -> dict[str, Build]:
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         del start
         refuse_keys(keys, "drift")
+        one_number(keys, "measurement")
         process = jnp.asarray(keys.process, float)
-        refuse_list(keys, "measurement")
         relation = plant.flux_relation()
         return ExtendedKalman.of_pmsm(relation, keys.voltage, process, keys.measurement)
 
@@ -195,7 +196,7 @@ def of_mechanism(*, threshold: float) -> dict[str, Build]:
 
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         refuse_keys(keys, "voltage", "drift")
-        refuse_list(keys, "measurement")
+        one_number(keys, "measurement")
         process = jnp.asarray(keys.process, float)
         return ExtendedKalman.of_mechanical(
             plant, process, keys.measurement, 1.0, initial=start.position
@@ -277,7 +278,7 @@ def of_model() -> dict[str, Build]:
 
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         refuse_keys(keys, "voltage")
-        refuse_list(keys, "process")
+        one_number(keys, "process")
         drift = keys.process if keys.drift is None else keys.drift
         measurement = jnp.asarray(keys.measurement, float)
         return ExtendedKalman.of_plant(plant, keys.process, drift, measurement, start)
@@ -301,8 +302,7 @@ def of_modelled_machine() -> dict[str, Build]:
 
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         refuse_keys(keys, "drift")
-        refuse_list(keys, "process")
-        refuse_list(keys, "measurement")
+        one_number(keys, "process", "measurement")
         return ExtendedKalman.of_machine(
             plant, keys.voltage, keys.process, keys.measurement, flux=start.flux
         )

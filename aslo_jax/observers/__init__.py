@@ -1,6 +1,7 @@
 """Observers: the protocol, the algebraic ones, their peers, and compositions."""
 
 from ._adaptive import Adaptive as Adaptive, AdaptiveEstimate as AdaptiveEstimate
+from ._adaptive_velocities import AdaptiveVelocities as AdaptiveVelocities
 from ._algebraic import AlgebraicObserver as AlgebraicObserver
 from ._angle import (
     AlgebraicMagnet as AlgebraicMagnet,
@@ -30,6 +31,7 @@ from ._fo3 import FO3 as FO3
 from ._gated import Gated as Gated
 from ._kalman import SteadyStateKalman as SteadyStateKalman
 from ._lifted import Lifted as Lifted
+from ._lifted_velocities import LiftedVelocities as LiftedVelocities
 from ._luenberger import ReducedLuenberger as ReducedLuenberger
 from ._models import (
     AbstractModel as AbstractModel,
@@ -57,6 +59,7 @@ __all__ = [
     "AbstractObserver",
     "Adaptive",
     "AdaptiveEstimate",
+    "AdaptiveVelocities",
     "AlgebraicMagnet",
     "AlgebraicObserver",
     "Asymptotic",
@@ -68,6 +71,8 @@ __all__ = [
     "FilteredDerivative",
     "HighGain",
     "Joined",
+    "Lifted",
+    "LiftedVelocities",
     "Luenberger",
     "MachineModel",
     "MagnetAngle",

@@ -82,7 +82,7 @@ class _KalmanBucy(AbstractLaw):
         return Belief(x + gain @ (y - self.model.output(x)), P)
 
 
-class _Pending(AbstractLaw):
+class Pending(AbstractLaw):
     """The variance of the estimate before a hole until it has come back, or is small beside
     the estimate; 0 where there is none. Driven by whether a sample is missing, the variance
     and the square of the estimate."""
@@ -309,7 +309,7 @@ class ExtendedKalman(AbstractObserver):
         value = self.model.select(x)
         total = jnp.sum(variance)
         drive = F.missing.astype(total.dtype), total, jnp.sum(value**2)
-        pending = F.evolve(_Pending(), drive, jnp.zeros_like(total), "pending")
+        pending = F.evolve(Pending(), drive, jnp.zeros_like(total), "pending")
         return Estimate(value, jnp.clip(certificate, 0.0, 1.0), pending > 0.0)
 
 

@@ -130,14 +130,15 @@ class LiftedKalman(AbstractLaw):
         r = sum(k is not None for k in sigmas)
         mean, U, d = [], [], []
         # The first y of a row with a sigma says what sigma is.
-        for row, k, sensitivity in zip(rows, sigmas, noise.rows, strict=True):
+        every = zip(rows, sigmas, noise.rows, noise.rows_by_u, strict=True)
+        for row, k, by_y, by_u in every:
             if k is None:
                 continue
-            m = measurement_of(row, sensitivity, x)
+            m = measurement_of(row, by_y, by_u, x)
             mean.append(times(m.sign, less(m.value, dot(m.h, x))))
             onward = [times(-m.sign, e) for e in m.h]
             U.append([1 if i == k else 0 for i in range(r)] + onward)
-            d.append(plus(blurred(m, P), dot(m.J, m.J)))
+            d.append(plus(blurred(m, P), plus(dot(m.J, m.J), m.by_u)))
         lists = Lists(r, mean + x, U + _unit(n, r), d + variance, [0.0 * one] * r)
         linear = tuple(k is None for k in sigmas)
         still = [[0] * noise.rows[0].d.shape[0] for _ in range(r + n)]
@@ -198,9 +199,10 @@ class LiftedKalman(AbstractLaw):
         motion = motion_of(left[0], right[0], h)
         lists = lists_of(X)
         W = scaled(noise.z(), h * h)
+        every = zip(left, right, noise.rows, noise.rows_by_u, strict=True)
         grown = [
-            growth_of(a, b, s, W, motion, lists.x, h)
-            for a, b, s in zip(left, right, noise.rows, strict=True)
+            growth_of(a, b, by_y, by_u, W, motion, lists.x, h)
+            for a, b, by_y, by_u in every
             if not isinstance(b, Linear)
         ]
         lists, by_y, moved = _predicted(lists, grown, motion, noise)
@@ -250,7 +252,6 @@ def _predicted(
     r, mean, U, d, unsteady = lists
     n, before = len(mean) - r, lists.spread()
     by_u, by_y = motion.integrated(noise.z_by_u), motion.integrated(noise.z_by_y)
-    columns, weights = factored(squares([a + b for a, b in zip(by_u, by_y, strict=True)]))
 
     def spread(x: Rows) -> Rows:
         """With what each sigma has of noises that add these columns to x."""
@@ -263,16 +264,24 @@ def _predicted(
     transition += [[0] * r + row for row in moved]
     # What the noise of a row does with what is not known of x: of each sigma its own.
     own_blur = [trace(g.regressors, before) for g in grown]
-    own = [plus(b, dot(g.own, g.own)) for b, g in zip(own_blur, grown, strict=True)]
-    fresh = [e + (one[i] if i < r else [0] * r) for i, e in enumerate(spread(columns))]
+    added_by_u, added_by_y = spread(by_u), spread(by_y)
+    for k, g in enumerate(grown):
+        for added_by, own in ((added_by_u, g.own_by_u), (added_by_y, g.own)):
+            added_by[k] = [plus(a, b) for a, b in zip(added_by[k], own, strict=True)]
+    if all(isinstance(e, int) for g in grown for e in g.own):
+        # No row has noise of its own: all of it comes by x, which has fewer entries.
+        both = [a + b for a, b in zip(by_u, by_y, strict=True)]
+        columns, weights = factored(squares(both))
+        columns = spread(columns)
+    else:
+        both = [a + b for a, b in zip(added_by_u, added_by_y, strict=True)]
+        columns, weights = factored(squares(both))
+    fresh = [e + (one[i] if i < r else [0] * r) for i, e in enumerate(columns)]
     wide = [a + b for a, b in zip(product(transition, U), fresh, strict=True)]
-    new, pivots = orthogonalised(wide, d + weights + own)
+    new, pivots = orthogonalised(wide, d + weights + own_blur)
     shift = [g.b for g in grown] + motion.shift
     ahead = [plus(dot(t, mean), s) for t, s in zip(transition, shift, strict=True)]
-    added_by_y = spread(by_y)
-    for k, g in enumerate(grown):
-        added_by_y[k] = [plus(a, b) for a, b in zip(added_by_y[k], g.own, strict=True)]
-    Q = squares(spread(by_u))
+    Q = squares(added_by_u)
     for k, extra in enumerate(own_blur):
         Q[k][k] = plus(Q[k][k], extra)
     lists = Lists(r, ahead, new, pivots, [w + 1.0 for w in unsteady])
@@ -292,13 +301,14 @@ def _measured(
     done = []
     p = len(by_y[0])
     known_n, spread_n = [0] * p, _unit(p)  # of the noise of y, mean and covariance
-    for index, (row, k, s) in enumerate(zip(rows, added(rows), noise.rows, strict=True)):
+    every = zip(rows, added(rows), noise.rows, noise.rows_by_u, strict=True)
+    for index, (row, k, s, s_by_u) in enumerate(every):
         if not taken[index]:
             continue
         r, mean, U, d, unsteady = lists
         P, x = lists.spread(), slice(lists.r, None)
-        m = measurement_of(row, s, lists.x)
-        blur, own = blurred(m, P), dot(m.J, [dot(e, m.J) for e in spread_n])
+        m = measurement_of(row, s, s_by_u, lists.x)
+        blur, own = plus(blurred(m, P), m.by_u), dot(m.J, [dot(e, m.J) for e in spread_n])
         h = [m.sign if i == k else 0 for i in range(r)] + m.h
         f = transposed_times(U, h)
         gathered = None

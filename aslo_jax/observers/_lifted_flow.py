@@ -21,6 +21,7 @@ from .._factored import (
 from .._relations import Quadratic, Rate
 from ._lifted_belief import LiftedBelief, lists_of
 from ._lifting import (
+    Sensitivity,
     added,
     blurred,
     entries,
@@ -30,6 +31,7 @@ from ._lifting import (
     quadratic,
     scaled,
     squares,
+    total,
     trace,
 )
 
@@ -53,7 +55,13 @@ def flow(rows: tuple[Any, ...], noise: Any, interval: Any, X: LiftedBelief) -> L
     above_y: Rows = []
     loose: Rows = []  # the noise of each row in one sample
     columns = lambda A: list(zip(*A, strict=True))
-    for row, k, s in zip(rows, added(rows), noise.rows, strict=True):
+    every = list(zip(rows, added(rows), noise.rows, noise.rows_by_u, strict=True))
+
+    def entering(s: Sensitivity) -> list[Any]:
+        slopes = [dot(list(c), x) for c in columns(matrix(s.c))]
+        return [less(a, b) for a, b in zip(entries(s.d), slopes, strict=True)]
+
+    for row, k, s, s_by_u in every:
         if k is None:
             continue
         if isinstance(row, Quadratic):
@@ -67,10 +75,9 @@ def flow(rows: tuple[Any, ...], noise: Any, interval: Any, X: LiftedBelief) -> L
             assert isinstance(row, Rate)
             F[k][r:] = entries(row.c)
             bias[k] = 0 if row.d is None else -row.d
-            above_u.append([0] * len(inputs[0]))
-            slopes = [dot(list(c), x) for c in columns(matrix(s.c))]
-            above_y.append([less(a, b) for a, b in zip(entries(s.d), slopes, strict=True)])
-            scatter = s.regressors()
+            above_u.append(entering(s_by_u))
+            above_y.append(entering(s))
+            scatter = total(s.regressors(), s_by_u.regressors())
         own[k] = times(h, trace(scatter, P))
         loose.append(scaled(scatter, h * h))
     by_u, by_y = above_u + inputs, above_y + outputs
@@ -89,9 +96,9 @@ def flow(rows: tuple[Any, ...], noise: Any, interval: Any, X: LiftedBelief) -> L
         for i in range(size)
     ]
     unsteady = [jnp.ones((), dtype) / h] * r
-    for row, k, s in zip(rows, added(rows), noise.rows, strict=True):
-        m = measurement_of(row, s, x)
-        V = times(h, plus(dot(m.J, m.J), blurred(m, P)))
+    for row, k, s, s_by_u in every:
+        m = measurement_of(row, s, s_by_u, x)
+        V = times(h, plus(plus(dot(m.J, m.J), m.by_u), blurred(m, P)))
         line = [m.sign if i == k else 0 for i in range(r)] + m.h
         f = transposed_times(lists.U, line)
         gathered = None if k is None else scaled(loose[k], lists.unsteady[k])

@@ -19,7 +19,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from .._factored import Rows, dot, less, plus, product, times
-from .._relations import AbstractTerms, Linear, Quadratic, Rate
+from .._relations import AbstractTerms, Linear, Quadratic, Rate, Rows as Several
 from .._signals import check_signals
 from .._typing import PyTree
 
@@ -31,14 +31,26 @@ def rows_of(relation: Relation, u: PyTree, y: PyTree) -> tuple[AbstractTerms, ..
     check_signals(relation, type(relation).__call__, u, y)
     found = relation(u, y)
     rows = tuple(found) if isinstance(found, tuple | list) else (found,)
+    every: list[AbstractTerms] = []
     for row in rows:
-        if not isinstance(row, Linear | Rate | Quadratic):
+        if not isinstance(row, Linear | Rate | Quadratic | Several):
             raise ValueError(
-                "Argument `relation` must return terms `Linear`, `Rate` or `Quadratic`, or "
-                f"a tuple of them, but got a {type(row).__name__}."
+                "Argument `relation` must return terms `Linear`, `Rate`, `Quadratic` or "
+                f"`Rows`, or a tuple of them, but got a {type(row).__name__}."
             )
         row.check(relation)
-    return rows
+        every += _single(row) if isinstance(row, Several) else [row]
+    return tuple(every)
+
+
+def _single(rows: Several) -> list[AbstractTerms]:
+    """Each of several rows by itself."""
+    k, z, A = jnp.shape(rows.s)[0], rows.z, rows.A
+    both = [(rows.C[j], rows.d[j]) for j in range(jnp.shape(rows.d)[0])]
+    found: list[AbstractTerms] = [
+        Rate(c=c, s=rows.s[j], z=z, d=d, A=A) for j, (c, d) in enumerate(both[:k])
+    ]
+    return found + [Linear(c=c, d=d, z=z, A=A) for c, d in both[k:]]
 
 
 def added(rows: tuple[AbstractTerms, ...]) -> list[int | None]:
@@ -61,8 +73,8 @@ def matrix(X: Array) -> Rows:
 
 
 class Sensitivity(NamedTuple):
-    """How the noise of y enters one row: the changes of c, shape `(n, p)`, and of d and s,
-    shape `(p,)`, by one standard deviation of each entry of y."""
+    """How the noise of y, or of u, enters one row: the changes of c, shape `(n, p)`, and of
+    d and s, shape `(p,)`, by one standard deviation of each entry of it."""
 
     c: Float[Array, "n p"]
     d: Float[Array, " p"]
@@ -76,11 +88,12 @@ class Sensitivity(NamedTuple):
 
 class Noise(NamedTuple):
     """How one standard deviation of the noise of each entry of u and y changes z, shapes
-    `(n, m)` and `(n, p)`, and each row."""
+    `(n, m)` and `(n, p)`, and each row, `rows` by y and `rows_by_u`."""
 
     z_by_u: Rows
     z_by_y: Rows
     rows: tuple[Sensitivity, ...]
+    rows_by_u: tuple[Sensitivity, ...]
 
     def z(self) -> Rows:
         """The covariance of the noise of z in one sample."""
@@ -105,11 +118,12 @@ def noise_of(
         ]
         return rows[0].z, each
 
-    by_u = jax.jacfwd(lambda v: terms(v, w)[0])(v)
+    by_u, each_by_u = jax.jacfwd(lambda v: terms(v, w))(v)
     by_y, each = jax.jacfwd(lambda w: terms(v, w))(w)
     su, sy = spread(input_deviation, u, "input"), spread(output_deviation, y, "output")
     rows = tuple(Sensitivity(c * sy, d * sy, s * sy) for c, d, s in each)
-    return Noise(matrix(by_u * su), matrix(by_y * sy), rows)
+    rows_by_u = tuple(Sensitivity(c * su, d * su, s * su) for c, d, s in each_by_u)
+    return Noise(matrix(by_u * su), matrix(by_y * sy), rows, rows_by_u)
 
 
 def spread(deviation: PyTree, like: PyTree, name: str) -> Float[Array, " p"]:
@@ -174,20 +188,21 @@ def motion_of(left: AbstractTerms, right: AbstractTerms, h: Any) -> Motion:
 
 class Growth(NamedTuple):
     """`sigma -> sigma + a'x + b` over an interval. Noise that adds v to x adds `column'v`,
-    and that of y `own` for each of its entries; `regressors` is the covariance of the noise
-    of a."""
+    and that of u and y `own_by_u` and `own` for each of their entries; `regressors` is the
+    covariance of the noise of a."""
 
     a: list[Any]
     b: Any
     column: list[Any]
     own: list[Any]
+    own_by_u: list[Any]
     regressors: Rows
 
 
 class Measurement(NamedTuple):
     """A scalar measurement: `value = h'x + sign sigma + J'n`, n the noise of the entries of
-    y in their standard deviations; `regressors`, the covariance of the noise of h, and
-    `common`, of it with `J'n`."""
+    y in their standard deviations, and noise of the variance `by_u` of u; `regressors`, the
+    covariance of the noise of h, and `common`, of it with that of the value."""
 
     value: Any
     h: list[Any]
@@ -195,27 +210,43 @@ class Measurement(NamedTuple):
     J: list[Any]
     regressors: Rows | None
     common: list[Any] | None
+    by_u: Any
 
 
-def measurement_of(row: AbstractTerms, noise: Sensitivity, x: list[Any]) -> Measurement:
+def measurement_of(
+    row: AbstractTerms, noise: Sensitivity, noise_of_u: Sensitivity, x: list[Any]
+) -> Measurement:
     """The measurement of a row; J at the estimate `x`."""
     if isinstance(row, Rate):
-        return Measurement(row.s, [0] * len(x), 1, entries(noise.s), None, None)
+        return Measurement(row.s, [0] * len(x), 1, entries(noise.s), None, None, 0)
     assert isinstance(row, Linear | Quadratic)
-    C, d = matrix(noise.c), entries(noise.d)
-    slopes = [dot([C[i][j] for i in range(len(x))], x) for j in range(len(d))]
     sign = 1.0 if isinstance(row, Linear) else -1.0
-    J = [less(times(sign, e), slope) for slope, e in zip(slopes, d, strict=True)]
-    common = [dot(c, J) for c in C]
-    if isinstance(row, Linear):
-        return Measurement(row.d, entries(row.c), 0, J, noise.regressors(), common)
-    return Measurement(-row.d, entries(row.c), -1, J, noise.regressors(), common)
+
+    def entering(noise: Sensitivity) -> tuple[list[Any], list[Any]]:
+        C, d = matrix(noise.c), entries(noise.d)
+        slopes = [dot([C[i][j] for i in range(len(x))], x) for j in range(len(d))]
+        J = [less(times(sign, e), slope) for slope, e in zip(slopes, d, strict=True)]
+        return J, [dot(c, J) for c in C]
+
+    (J, common), (I, common_by_u) = entering(noise), entering(noise_of_u)
+    common = [plus(a, b) for a, b in zip(common, common_by_u, strict=True)]
+    regressors = total(noise.regressors(), noise_of_u.regressors())
+    value, sigma = (row.d, 0) if isinstance(row, Linear) else (-row.d, -1)
+    return Measurement(value, entries(row.c), sigma, J, regressors, common, dot(I, I))
+
+
+def total(A: Rows, B: Rows) -> Rows:
+    """Their sum."""
+    return [
+        [plus(a, b) for a, b in zip(p, q, strict=True)] for p, q in zip(A, B, strict=True)
+    ]
 
 
 def growth_of(
     left: AbstractTerms,
     right: AbstractTerms,
     noise: Sensitivity,
+    noise_of_u: Sensitivity,
     covariance: Rows,
     motion: Motion,
     x: list[Any],
@@ -231,7 +262,9 @@ def growth_of(
         QW = product(Q, covariance)
         b = 0.5 * plus(dot(a, motion.shift), sum(QW[i][i] for i in range(n)))
         own: list[Any] = [0] * noise.d.shape[0]
-        return Growth(a, b, [dot(row, moved) for row in Q], own, product(QW, Q))
+        own_by_u: list[Any] = [0] * noise_of_u.d.shape[0]
+        column = [dot(row, moved) for row in Q]
+        return Growth(a, b, column, own, own_by_u, product(QW, Q))
     assert isinstance(left, Rate) and isinstance(right, Rate)
     c0, c1 = entries(left.c), entries(right.c)
     half, twelfth = 0.5 * h, h * h / 12.0
@@ -262,11 +295,15 @@ def growth_of(
     b = plus(dot(last, motion.shift), times(twelfth, less(dot(c0, z0), dot(c1, z1))))
     if left.d is not None and right.d is not None:
         b = b - half * (left.d + right.d)
-    C, d = matrix(noise.c), entries(noise.d)
-    slopes = [less(d[j], dot([C[i][j] for i in range(n)], moved)) for j in range(len(d))]
-    own = [times(h, e) for e in slopes]
-    N = scaled(noise.regressors(), h * h)
-    return Growth(a, b, [times(half, q) for q in c1], own, N)
+
+    def entering(noise: Sensitivity) -> list[Any]:
+        C, d = matrix(noise.c), entries(noise.d)
+        slopes = [dot([C[i][j] for i in range(n)], moved) for j in range(len(d))]
+        return [times(h, less(e, slope)) for e, slope in zip(d, slopes, strict=True)]
+
+    N = scaled(total(noise.regressors(), noise_of_u.regressors()), h * h)
+    column = [times(half, q) for q in c1]
+    return Growth(a, b, column, entering(noise), entering(noise_of_u), N)
 
 
 def quadratic(row: Quadratic, n: int) -> Rows:

@@ -41,11 +41,11 @@ class Unwrapped(AbstractObserver[Est], Generic[Est]):
         return self.observer(F, u, y)
 
     def continued(self, before: PyTree, y: PyTree) -> Any:
-        y = _continued(before, y, jnp.asarray(self.angles))
+        y = continued_angles(before, y, jnp.asarray(self.angles))
         return self.observer.continued(before, y)
 
 
-def _continued(
+def continued_angles(
     before: Float[Array, " p"], y: Float[Array, " p"], angles: Bool[Array, " p"]
 ) -> Float[Array, " p"]:
     """The y nearest to `before` that is the same angle."""

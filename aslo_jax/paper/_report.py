@@ -46,7 +46,8 @@ def files(
     """The content of every file by name, and a short table for the terminal."""
     content = {}
     for figure in figures:
-        content[f"{figure.name}.png"] = figure.png()
+        for kind, picture in figure.render("png", "pdf").items():
+            content[f"{figure.name}.{kind}"] = picture
         content[f"{figure.name}.csv"] = figure.csv().encode()
     for table in tables:
         content[f"{table.name}.csv"] = table.csv().encode()
@@ -73,11 +74,10 @@ def index(
         name = table.name
         lines.append(f"- [{name}.md]({name}.md), [{name}.csv]({name}.csv): {table.caption}")
     for figure in figures:
-        columns = len(figure.data)
+        name, columns = figure.name, len(figure.data)
         lines.append(
-            f"- [{figure.name}.png]({figure.name}.png), [{figure.name}.csv]"
-            f"({figure.name}.csv) ({columns} columns, each named with its unit): "
-            f"{figure.caption}"
+            f"- [{name}.png]({name}.png), [{name}.pdf]({name}.pdf), [{name}.csv]"
+            f"({name}.csv) ({columns} columns, each named with its unit): {figure.caption}"
         )
     return "\n".join(lines) + "\n"
 

@@ -37,7 +37,7 @@ def bands(
 
     **Arguments:**
 
-    - `study`: the `xarray.Dataset` of [`aslo_jax.study._run`][], with its trajectories
+    - `study`: the `xarray.Dataset` of [`aslo_jax.study.run`][], with its trajectories
       (`error` over `sample`, `time` and `observer`), or bands by observer, each an object
       with `low`, `median`, `high` and `worst`, shape `(T,)`;
     - `t`: the instants (s), shape `(T,)`, of bands alone; a dataset knows its own, its
@@ -104,7 +104,7 @@ def ranking(
 
     **Arguments:**
 
-    - `study`: the `xarray.Dataset` of [`aslo_jax.study._run`][];
+    - `study`: the `xarray.Dataset` of [`aslo_jax.study.run`][];
     - `metric`: the name of one, or names, by default all that are numbers;
     - `confidence` (1) of the comparisons that rank them;
     - `figure`: a figure or subfigure of matplotlib to draw into, or `axes`: one of its axes

@@ -23,7 +23,7 @@ def tuning(
     axes: Any = None,
 ) -> "Figure":
     """Draw the loss, the parameters and the norm of the gradient over the iterations of
-    every descent of [`aslo_jax.tune._fit`][], the best one in full colour.
+    every descent of [`aslo_jax.tune.fit`][], the best one in full colour.
 
     **Arguments:**
 

@@ -68,7 +68,7 @@ def _item(value: Any) -> Item:
 
 
 def _replace(table: Any, name: str, key: str, value: Any) -> None:
-    old, new = table[key], tomlkit.item(value)
+    old, new = table[key], _item(value)
     if isinstance(old, Array) and "\n" in old.as_string():
         raise ValueError(
             "Values must stand on one line each, `key = value`, to be replaced, but "

@@ -101,8 +101,7 @@ def quantile(
     x: Float[np.ndarray, " N"], probability: float, confidence: float = 0.95
 ) -> Interval:
     """The quantile of `x`, shape `(N,)`, at a `probability` between 0 and 1, and its
-    interval with a `confidence` between 0 and 1, from order statistics, as of
-    [`of_sorted`][].
+    interval with a `confidence` between 0 and 1, from order statistics.
     """
     return of_sorted(np.sort(judged(x)), probability, confidence)
 

@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._ir.graph import BOOL
+from .._ir.graph import BOOL, LOOPED
 from .._ir.loop import Loop, varying
 from .._ir.selection import Instruction, selected
 from .._ir.specialisation import specialised
 from .cost import cycles
-from .grouping import LOOPED, entries, needed_later, phases
+from .grouping import entries, needed_later, phases
 from .scheduling import depth_first, ordered
 from .spilling import Event, planned
 from .splitting import Part, in_parts

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._backend.grouping import LOOPED, Group, phases
-from .._ir.graph import Function, Graph, Node
+from .._backend.grouping import Group, phases
+from .._ir.graph import LOOPED, Function, Graph, Node
 from .places import Place, Run, Value, filled, runs
 from .scalars import bare, expression
 from .types import c_type
@@ -200,7 +200,7 @@ class Body:
             name = self._declared(dtype, count * len(some))
             function = self.unit.helper("products", dtype)
             self.lines.append(
-                f"{function}({name}, {first}, {second}, {count}, {len(some)}, {inner});"
+                f"{function}({name}, {first}, {second}, {count}U, {len(some)}U, {inner}U);"
             )
             for k, number in enumerate(n for g in some for n in g.members):
                 self._values[number] = Place(name, k)
@@ -211,7 +211,7 @@ class Body:
         arguments = [self._argument(array) for array in group.arrays(self.graph)]
         out = self._declared(node.dtype, count)
         self.lines += [
-            f"for (i = 0; i < {count}; ++i) {{",
+            f"for (i = 0U; i < {count}U; ++i) {{",
             f"    {out}[i] = {name}({', '.join(arguments)});",
             "}",
         ]

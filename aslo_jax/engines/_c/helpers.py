@@ -161,10 +161,10 @@ static void {p}_products_{s}({T} *out, const {T} *a, const {T} *b, size_t m, siz
     size_t i;
     size_t j;
     size_t k;
-    for (j = 0; j < n; ++j) {{
-        for (i = 0; i < m; ++i) {{
+    for (j = 0U; j < n; ++j) {{
+        for (i = 0U; i < m; ++i) {{
             {T} sum = a[i * inner] * b[j * inner];
-            for (k = 1; k < inner; ++k) {{
+            for (k = 1U; k < inner; ++k) {{
                 sum = sum + (a[(i * inner) + k] * b[(j * inner) + k]);
             }}
             out[(j * m) + i] = sum;

@@ -38,12 +38,12 @@ Value = Place | str
 
 
 def _place(first: int, steps: Sequence[tuple[int, str]]) -> str:
-    """`first` and multiples of counters."""
-    parts = [k if s == 1 else f"({s} * {k})" for s, k in steps if s > 0]
+    """`first` and multiples of counters, unsigned as these are."""
+    parts = [k if s == 1 else f"({s}U * {k})" for s, k in steps if s > 0]
     if first:
-        parts.insert(0, str(first))
-    back = "".join(f" - {k}" if s == -1 else f" - ({-s} * {k})" for s, k in steps if s < 0)
-    return (" + ".join(parts) or "0") + back
+        parts.insert(0, f"{first}U")
+    back = "".join(f" - {k}" if s == -1 else f" - ({-s}U * {k})" for s, k in steps if s < 0)
+    return (" + ".join(parts) or "0U") + back
 
 
 def runs(values: Sequence[Value]) -> list[Run]:
@@ -97,7 +97,7 @@ def _single(array: str, at: int, run: Run) -> list[str]:
         each = (_text(run, j) for j in range(run.length))
         return [f"{array}[{at + j}] = {text};" for j, text in enumerate(each)]
     return [
-        f"for (i = 0; i < {run.length}; ++i) {{",
+        f"for (i = 0U; i < {run.length}U; ++i) {{",
         f"    {array}[{_place(at, ((1, 'i'),))}] = {run.entry('i')};",
         "}",
     ]
@@ -124,8 +124,8 @@ def _nested(array: str, at: int, rows: list[Run]) -> list[str]:
     first, apart = rows[0], rows[1].first - rows[0].first
     source = _place(first.first, ((apart, "i"), (first.stride, "j")))
     return [
-        f"for (i = 0; i < {len(rows)}; ++i) {{",
-        f"    for (j = 0; j < {first.length}; ++j) {{",
+        f"for (i = 0U; i < {len(rows)}U; ++i) {{",
+        f"    for (j = 0U; j < {first.length}U; ++j) {{",
         f"        {array}[{_place(at, ((first.length, 'i'), (1, 'j')))}] = "
         f"{first.array}[{source}];",
         "    }",

@@ -19,6 +19,7 @@ from .elementwise import ELEMENTWISE, Unsupported
 from .functions import FUNCTIONS, applies_function
 from .large import entrywise
 from .origin import described, located, with_caller
+from .outlining import is_outlined, outlined
 from .structural import STRUCTURAL, Value, constant, known, select
 
 UNROLLED = 4096  # the longest loop that is unrolled
@@ -161,6 +162,10 @@ def _by_rule(graph: Graph, equation: Any, inner: Any, arguments: list[Value]) ->
     for rules in (STRUCTURAL, CONTROL):
         if name in rules:
             return rules[name](graph, equation, *arguments)
+    if inner is not None and is_outlined(equation):
+        return outlined(
+            graph, equation, lambda given: _closed(graph, inner, given), arguments
+        )
     if inner is not None:
         return _closed(graph, inner, arguments)
     raise Unsupported("it has no rule")

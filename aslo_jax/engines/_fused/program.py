@@ -130,9 +130,9 @@ class Inputs:
         self.graph = Graph(goal)
         step = self.graph.input(np.int64, ("step", 0))
         self.step = np.asarray(self.graph.convert(step, _step().dtype))
-        self.carry = _numbered(self.graph, "carry", carry)
+        self.carry = numbered(self.graph, "carry", carry)
         # In the order of `jax.tree.leaves` of the dictionary.
-        self.by_kind = {k: _numbered(self.graph, k, inputs[k]) for k in sorted(inputs)}
+        self.by_kind = {k: numbered(self.graph, k, inputs[k]) for k in sorted(inputs)}
 
     @property
     def all(self) -> list[np.ndarray]:
@@ -267,6 +267,7 @@ class Program:
         *,
         every: int = 1,
         threads: int | None = None,
+        rows: int | None = None,
     ) -> tuple[PyTree, PyTree]:
         """The records and what is final, NumPy arrays with a leading axis of `lanes`;
         records have a second one of `steps // every`, and one more for the first."""
@@ -277,8 +278,12 @@ class Program:
         for kind, tree in inputs.items():
             columns |= _slots(kind, COLUMNS[kind](tree, padded))
         columns |= self._times(columns, steps)
-        rows = steps // every + (1 if self.loop.first else 0)
+        if rows is None:
+            rows = steps // every + (1 if self.loop.first else 0)
         record, final = blank(self.record, rows, padded), blank(self.final, padded)
+        if self.loop.adaptive is not None:
+            for leaf in jax.tree.leaves(record):  # what a lane does not reach
+                leaf.fill(np.nan if leaf.dtype.kind == "f" else 0)
         columns |= _slots("record", columns_of(record, 2))
         columns |= _slots("final", columns_of(final, 1))
         threads = available_threads() if threads is None else threads
@@ -319,7 +324,7 @@ def _named(tree: PyTree) -> list[tuple[tuple[int, ...], str]]:
     return [(shape, str(dtype)) for shape, dtype in _shapes(tree)]
 
 
-def _numbered(graph: Graph, kind: str, tree: PyTree) -> list[np.ndarray]:
+def numbered(graph: Graph, kind: str, tree: PyTree) -> list[np.ndarray]:
     """An array of input nodes for each leaf; their slots count through the tree."""
     count, found = 0, []
     for shape, dtype in _shapes(tree):

@@ -12,6 +12,10 @@ from .folding import FOLD, converted, fused
 NUMBERS = ("float64", "float32", "bool")
 NUMBERS += tuple(f"{kind}{8 * size}" for kind in ("int", "uint") for size in (1, 2, 4, 8))
 BOOL = np.dtype(bool)
+# Inputs that differ from lane to lane.
+LANEWISE = ("lane", "lane log", "carry", "saving", "argument")
+# Operations that are done in functions, on arrays in memory.
+LOOPED = ("dot", "call", "part")
 Value = TypeVar("Value")
 
 
@@ -22,9 +26,19 @@ class Function(NamedTuple):
     result: int
 
 
+class Several(NamedTuple):
+    """A function of scalars with several results: a graph whose inputs have the slots
+    `("argument", k)`, of which the first `moving` change over time."""
+
+    graph: "Graph"
+    results: tuple[int, ...]
+    moving: int
+
+
 class Node(NamedTuple):
     """One operation on scalars. `data`: the value of a `const`, the slot of an `input`, the
-    entries of a `table`, the function of a `call`."""
+    entries of a `table`, the function of a `call`; of a `part`, the function with several
+    results and which of these it is."""
 
     op: str
     dtype: np.dtype
@@ -38,13 +52,18 @@ class Node(NamedTuple):
             return 0
         if self.op == "call":
             return self.data.graph.size(self.data.result)
+        if self.op == "part":
+            function, _ = self.data  # each result has its share
+            own = function.graph.reachable(list(function.results))
+            work = sum(function.graph.nodes[n].size for n in own)
+            return -(-work // len(function.results))
         return {"fma": 2, "dot": len(self.args) - 1}.get(self.op, 1)
 
     def varies(self, args: list[tuple[bool, bool]]) -> tuple[bool, bool]:
         """Whether it changes over time, and over lanes, as its arguments do."""
         if self.op == "input":
             kind = self.data[0]
-            return kind not in ("shared", "lane"), kind in ("lane", "lane log", "carry")
+            return kind not in ("shared", "lane"), kind in LANEWISE
         return any(time for time, _ in args), any(lane for _, lane in args)
 
 
@@ -83,6 +102,7 @@ class Graph:
         self.branches: dict[int, None] = {}  # conditions that were branches in the source
         self._numbers: dict[Any, int] = {}
         self._functions: dict[Any, Function] = {}
+        self._several: dict[Any, Several] = {}
 
     def const(self, value: Any, dtype: Any) -> int:
         dtype = np.dtype(dtype)
@@ -211,6 +231,18 @@ class Graph:
         key = ("call", dtype, args, content)
         return self._number(key, Node("call", dtype, args, function))
 
+    def parts(self, function: Several, *args: int) -> list[int]:
+        """The results of a function, which are computed together."""
+        content: Any = *function.graph._numbers, function.results, function.moving
+        function = self._several.setdefault(content, function)
+        which = list(self._several).index(content)
+        found = []
+        for k, result in enumerate(function.results):
+            dtype = function.graph.dtype(result)
+            node = Node("part", dtype, args, (function, k))
+            found.append(self._number(("part", dtype, args, which, k), node))
+        return found
+
     def _inlined(self, function: Function, args: tuple[int, ...]) -> int:
         found: dict[int, int] = {}
         for number in function.graph.reachable([function.result]):
@@ -238,6 +270,9 @@ class Graph:
             return self.call(node.data, *args)
         if node.op == "table":
             return self.table(node.data, *args)
+        if node.op == "part":
+            function, k = node.data
+            return self.parts(function, *args)[k]
         if node.op in ("convert", "bitcast"):
             return getattr(self, node.op)(args[0], node.dtype)
         return self.op(node.op, *args)

@@ -27,6 +27,27 @@ class Tables(NamedTuple):
 NO_TABLES = Tables()
 
 
+class Adaptive(NamedTuple):
+    """What a loop is whose lanes each take steps of their own until all have ended.
+
+    Its record begins with `done`, a boolean of a step: whether the lane has ended. That is
+    all unless it saves. Then `due`, whether there is another row to save from this step;
+    `written`, whether this row is kept; its number, int64; and `saving` values that go on
+    from row to row, as the carry does from step to step. They are inputs ("saving", i),
+    beginning with those of `first`. The rest are the columns of the row.
+
+    After a step the rows that are due are saved one after the other; what does not depend
+    on what goes on from row to row is computed once, and only if one is due.
+    """
+
+    saving: int = 0
+
+    @property
+    def head(self) -> int:
+        """How many entries of the record are no columns."""
+        return 4 + self.saving if self.saving else 1
+
+
 class Switch(NamedTuple):
     """A boolean node of a step, and what it is where the step takes less."""
 
@@ -53,6 +74,8 @@ class Loop:
     `branches` are boolean nodes of a step that chose between branches in the source.
     `switches` are some of them: where all lanes of a vector are as usual in all of these,
     or in none, a body takes the step that does only what is needed then.
+
+    An `adaptive` loop has no records after every n-th step, but those of its own instants.
     """
 
     graph: Graph
@@ -64,6 +87,12 @@ class Loop:
     tables: Tables = NO_TABLES
     branches: tuple[int, ...] = ()
     switches: tuple[Switch, ...] = ()
+    adaptive: Adaptive | None = None
+
+    @property
+    def head(self) -> int:
+        """How many entries of the record are not written to a row of their own."""
+        return 0 if self.adaptive is None else self.adaptive.head
 
     @property
     def conditions(self) -> list[int]:
@@ -115,8 +144,8 @@ class Loop:
         nodes = self.graph.nodes
         inputs = {nodes[n].data for n in self.needed() if nodes[n].op == "input"}
         return [
-            *sorted(s for s in inputs if s[0] not in ("carry", "step")),
-            *(("record", i) for i in range(len(self.record))),
+            *sorted(s for s in inputs if s[0] not in ("carry", "saving", "step")),
+            *(("record", i) for i in range(len(self.record) - self.head)),
             *(("final", i) for i in range(len(self.final))),
         ]
 

@@ -15,7 +15,7 @@ COUNTS |= dict.fromkeys(("not", "ones", "zeros"), 1)
 REAL = {"sqrt", "floor", "ceil", "rint", "fma"}
 BITS = {"and", "or", "xor", "not", "shl", "lshr", "ashr"}
 TIMELESS = ("shared", "lane")  # inputs of what is before the first step
-INPUTS = ("step", *TIMELESS, "log", "lane log", "time", "carry")
+INPUTS = ("step", *TIMELESS, "log", "lane log", "time", "carry", "saving")
 
 
 class MalformedError(ValueError):
@@ -84,6 +84,9 @@ def _node(graph: Graph, number: int) -> None:
     if node.op in ("dot", "call"):
         _looped(graph, node, what)
         return
+    if node.op == "part":
+        _part(graph, node, what)
+        return
     if node.op not in COUNTS and node.op not in FOLD and node.op not in COMMUTES:
         _refuse(f"{what} is no operation")
     if len(node.args) != COUNTS.get(node.op, 2):
@@ -110,6 +113,23 @@ def _node(graph: Graph, number: int) -> None:
         _refuse(f"{what} takes {types[0]}")
     if node.op in BITS and types[0].kind == "f":
         _refuse(f"{what} takes {types[0]}")
+
+
+def _part(graph: Graph, node: Node, what: str) -> None:
+    """A result of a function with several."""
+    function, k = node.data
+    inner = function.graph
+    if inner.dtype(function.results[k]) != node.dtype:
+        _refuse(f"{what} is a result of {inner.dtype(function.results[k])}")
+    for number in inner.reachable(list(function.results)):
+        _node(inner, number)
+        slot = inner.nodes[number].data
+        if inner.nodes[number].op != "input":
+            continue
+        if slot[0] != "argument" or not 0 <= slot[1] < len(node.args):
+            _refuse(f"{what} is of a function of {slot}, with {len(node.args)} operands")
+        if inner.dtype(number) != graph.dtype(node.args[slot[1]]):
+            _refuse(f"{what} has an operand {slot[1]} of another type")
 
 
 def _looped(graph: Graph, node: Node, what: str) -> None:
@@ -149,11 +169,14 @@ def _inputs(loop: Loop, what: str, roots: Iterable[int], allowed: tuple[str, ...
         kind, i = node.data
         if kind not in allowed:
             _refuse(f"{what} uses %{number}, an input of kind {kind!r}")
-        ends = {"step": 1, "carry": len(loop.carry), "time": len(tables)}
+        saving = 0 if loop.adaptive is None else loop.adaptive.saving
+        ends = {"step": 1, "carry": len(loop.carry), "time": len(tables), "saving": saving}
         if not 0 <= i < ends.get(kind, i + 1):
             _refuse(f"%{number} has the slot {i} of {ends.get(kind)} of kind {kind!r}")
         if kind == "carry":
             given = graph.dtype(loop.carry[i])
+        elif kind == "saving":
+            given = graph.dtype(loop.record[loop.head - ends["saving"] + i])
         elif kind == "time":
             given = tables[i][0].graph.dtype(tables[i][1])
         else:

@@ -5,7 +5,9 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from .._backend.grouping import LOOPED, Group, phases
+from .._backend.grouping import Group, phases
+from .._ir.graph import LOOPED
+from .functions import several
 from .layout import Layout
 from .loops import Array, copied, entrywise, rows
 from .writer import Writer
@@ -70,7 +72,7 @@ class Groups:
         return kinds.pop() if len(kinds) == 1 and len(array) >= COPIED else ""
 
     def _wide(self, group: Group, array: Entries) -> bool:
-        if self.graph.nodes[group.members[0]].op == "call":
+        if self.graph.nodes[group.members[0]].op in ("call", "part"):
             return self.varies[group.members[0]][1]
         return any(self.varies[n][1] for n in array)
 
@@ -193,6 +195,11 @@ class Groups:
             out = self._writer(self.layout.step.width)
             count, inner = len(group.members), len(node.args) // 2
             rows(out, count, inner, node.dtype, arrays, result.stride)
+        elif node.op == "part":
+            out = self._writer(self.layout.step.width)
+            members = [self.graph.nodes[n].data[1] for n in group.members]
+            types = [self.graph.dtype(a[0]).name for a in group.arrays(self.graph)]
+            several(out, node.data[0], members, arrays, types, result.stride)
         else:
             out = self._writer(self.layout.step.width // many)
             count, step = len(group.members) * many, result.stride // many

@@ -13,6 +13,7 @@ from typing import NamedTuple
 from .._backend.step import Step
 from .._ir.loop import Slot
 from .layout import POINTERS, Layout
+from .saving import Saving
 from .switching import WAYS, Condition, branch
 from .values import Values
 from .vectors import Vectors
@@ -50,6 +51,7 @@ class _Kernel:
         self.out, self.groups = self.layout.out, values.groups
         self.graph, self.loop = self.layout.graph, self.layout.loop
         self.body, self.varies = step.body, step.body.varies
+        self.saving = None if self.loop.adaptive is None else Saving(values)
         self.inputs: dict[Slot, int] = {
             self.graph.nodes[n].data: n
             for n in self.varies
@@ -150,7 +152,9 @@ class _Kernel:
             value, dtype = self.values.operand(number, True), self.graph.dtype(number)
             self.layout.put(value, self.layout.at(offset), dtype)
         if self.loop.first:
-            self._write("record", self.loop.first, "0")
+            self._write("record", self.loop.first[self.loop.head :], "0")
+        if self.saving is not None:
+            self.saving.begin()
         self.out.line("br label %time")
 
     def _keep(self, i: int, value: str, base: str) -> None:
@@ -175,10 +179,15 @@ class _Kernel:
         self.out.line(f"%left = phi i64 [ %every, {begun} ], [ %next_left, %advanced ]")
         self.out.line(f"%saved = phi i64 [ {rows}, {begun} ], [ %next_saved, %advanced ]")
         self.out.line(f"%now = phi i64 [ 0, {begun} ], [ %next, %advanced ]")
+        if self.saving is not None:
+            self.out.line(f"%ended = phi i1 [ false, {begun} ], [ %all_ended, %advanced ]")
         self.out.line(f"%next = sub i64 {self.layout.half}, %now")
         self.out.line("%steps = load volatile i64, ptr %limit")
         self.out.line("%running = icmp slt i64 %k, %steps")
-        self.out.line("br i1 %running, label %advance, label %finish")
+        running = "%running"
+        if self.saving is not None:
+            running = self.out.define("select i1 %ended, i1 false, i1 %running")
+        self.out.line(f"br i1 {running}, label %advance, label %finish")
         self.out.label("advance")
         self.invariant = dict(
             self.values.vectors
@@ -202,6 +211,9 @@ class _Kernel:
             if len(ways) == 1:
                 self._count()
             suffix = "" if len(ways) == 1 else f"_{name}"
+            if self.saving is not None:
+                self._adapt(vectors, self.saving)
+                return
             end, record = self.out.block, f"record{suffix}"
             self.out.line(f"br i1 %due, label %{record}, label %advanced")
             self._record(vectors, suffix)
@@ -211,6 +223,22 @@ class _Kernel:
         self.out.line(f"%next_left = phi i64 {', '.join(left)}")
         self.out.line(f"%next_saved = phi i64 {', '.join(saved)}")
         self.out.line("br label %time")
+
+    def _adapt(self, vectors: Vectors, saving: Saving) -> None:
+        """After an attempted step: the rows that lanes save from it, and whether all have
+        ended."""
+        self._again(vectors)
+        ended = saving.ended()
+        if saving.entries:
+            saving.rows()
+        else:
+            self.out.line("br label %advanced")
+        self.out.label("advanced")
+        self.out.line(f"%all_ended = and i1 {ended}, true")
+        self.out.line("%next_left = add i64 %left, 0")
+        self.out.line("%next_saved = add i64 %saved, 0")
+        self.out.line("br label %time")
+        self.values.vectors = dict(self.invariant)
 
     def _count(self) -> None:
         """Steps, and those until the next record."""
@@ -247,6 +275,15 @@ class _Kernel:
     def _record(self, made: Vectors, suffix: str) -> None:
         """After every n-th step: what only the records need, and the records."""
         self.out.label(f"record{suffix}")
+        self._again(made)
+        self.values.compute(made.way.body.record, made.way.body.nodes)
+        self._write("record", made.way.body.loop.record, "%saved")
+        self.out.line(f"%more_saved{suffix} = add i64 %saved, 1")
+        self.out.line("br label %advanced")
+        self.values.vectors = dict(self.invariant)
+
+    def _again(self, made: Vectors) -> None:
+        """Reads what a record needs of its step."""
         self.values.vectors = dict(self.invariant)
         for slot, number in self.inputs.items():
             if slot[0] in ("carry", "lane log"):
@@ -254,11 +291,6 @@ class _Kernel:
         for number, home in made.leaving.items():
             place, dtype = self.layout.at(*home), self.graph.dtype(number)
             self.values.vectors[number] = self.layout.got(place, dtype)
-        self.values.compute(made.way.body.record, made.way.body.nodes)
-        self._write("record", made.way.body.loop.record, "%saved")
-        self.out.line(f"%more_saved{suffix} = add i64 %saved, 1")
-        self.out.line("br label %advanced")
-        self.values.vectors = dict(self.invariant)
 
     def _finish(self) -> None:
         """For each block of lanes: what its last state leaves."""

@@ -5,10 +5,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from .._backend.grouping import LOOPED, entries
+from .._backend.grouping import entries
 from .._backend.splitting import Part
 from .._backend.step import Step, Way
-from .._ir.graph import Node
+from .._ir.graph import LOOPED, Node
 from .._ir.rewrite import carries
 from .._ir.selection import Instruction
 from .frame import Frame

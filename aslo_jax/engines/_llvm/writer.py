@@ -246,6 +246,14 @@ class Writer:
             self.tables[key] = name, f"{name} = private constant {whole} [{entries}]"
         return self.tables[key][0]
 
+    def hidden(self, table: str) -> str:
+        """The address of a table, of which LLVM does not know that it is that: it would
+        make each entry's anew."""
+        name = f"{table}.address"
+        definition = f"{name} = private global ptr {table}"
+        self.tables.setdefault(name.encode(), (name, definition))
+        return self.define(f"load ptr, ptr {name}")
+
     def lookup(self, values: np.ndarray, index: str, vector: bool) -> str:
         """The entry of a table of constants at `index` (int64), lane by lane."""
         kind, name = self.stored(values.dtype, False), self.table(values)

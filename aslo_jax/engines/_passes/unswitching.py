@@ -3,7 +3,7 @@ what only the latter needs takes no time in the former."""
 
 import dataclasses
 
-from .._ir.graph import Graph
+from .._ir.graph import LOOPED, Graph
 from .._ir.loop import Loop, Switch, varying
 from .._ir.rewrite import moving_roots
 from .._ir.specialisation import specialised
@@ -13,7 +13,6 @@ from .._ir.specialisation import specialised
 # saves so many again.
 SHARE = 0.2
 LEAST = 40
-LOOPED = ("dot", "call")
 TRIALS = 16  # of branches, each of which takes two rewritings
 COSTLY = {"div": 8, "sqrt": 8, "table": 8}  # operations that take as long as some
 

@@ -36,6 +36,7 @@ from .file import (
     Configuration as Configuration,
     ConfigurationError as ConfigurationError,
     configure as configure,
+    experiment_in as experiment_in,
     read_configuration as read_configuration,
     read_study as read_study,
 )
@@ -45,6 +46,7 @@ __all__ = [
     "Configuration",
     "ConfigurationError",
     "configure",
+    "experiment_in",
     "read_configuration",
     "read_study",
 ]

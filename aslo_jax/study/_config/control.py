@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from pydantic import Field
 
+from ..._derive.plant import ModelPlant
 from ..._module import Module
 from ...control import (
     AbstractController,
@@ -75,8 +76,9 @@ class OpenLoopTable(Table):
     signal: Signal = key("the input")
 
     def build(self, plant: Any) -> tuple[AbstractController, Any]:
-        del plant
-        return OpenLoop(self.signal.signal()), None
+        signal = self.signal.signal()
+        held = plant.held(signal) if isinstance(plant, ModelPlant) else signal
+        return OpenLoop(held), None
 
 
 class FieldOrientedTable(Table):

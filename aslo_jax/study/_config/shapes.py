@@ -6,16 +6,21 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from ..._derive.plant import ModelPlant
 from ..._experiment import Experiment
 from ...disturbances import AbstractDisturbance, Chain
 
 
 def check_shapes(experiment: Experiment) -> None:
-    """Refuse a disturbance that changes the shape of its signal, or cannot take it.
+    """Refuse a disturbance that changes the shape of its signal, or cannot take it, and an
+    input that a model does not have.
 
-    **Raises:** `ValueError` that names its key, `sensor.0` for instance.
+    **Raises:** `ValueError` that names the key of a disturbance, `sensor.0` for instance.
     """
     y, u = jax.eval_shape(lambda: _signals(experiment))
+    plant = experiment.plant
+    if isinstance(plant, ModelPlant):
+        jax.eval_shape(lambda u: plant.drift(plant.vector(plant.initial()), u), u)
     places: Mapping[str, Any] = {"sensor": y, "input_sensor": u, "actuator": u}
     for place, signal in places.items():
         whole = getattr(experiment, place)

@@ -115,17 +115,20 @@ def parameter(table: AbstractSpreadTable) -> Parameter:
 
 
 def parameter_units(
-    tables: Mapping[str, AbstractSpreadTable], machine: type[Table]
+    tables: Mapping[str, AbstractSpreadTable],
+    machine: type[Table],
+    known: Mapping[str, str],
 ) -> dict[str, str]:
-    """The units of the numbers drawn, by their variables, where they are factors or keys of
-    the `[machine]`."""
+    """The units of the numbers drawn, by their variables, where they are factors, keys of
+    the `[machine]`, or `known` by their path."""
     found = {}
     for name, table in tables.items():
         wheres = [table.where] if isinstance(table.where, str) else table.where
         for each, where in zip(
             names_of(Spread({name: parameter(table)})), wheres, strict=True
         ):
-            found[f"parameter_{each}"] = "1" if table.relative else _unit(where, machine)
+            unit = known.get(where) or _unit(where, machine)
+            found[f"parameter_{each}"] = "1" if table.relative else unit
     return {name: unit for name, unit in found.items() if unit}
 
 

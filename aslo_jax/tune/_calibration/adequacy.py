@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ..._derive.plant import ModelPlant
 from ...plants import AbstractMechanicalSystem
 from .information import normalised, spread
 from .search import Search
@@ -24,7 +25,7 @@ SURE = 12.0  # of a test statistic per degree of freedom: noise reaches it in 2 
 class Finding:
     """An error of the record that a calibration without it shows signs of.
 
-    - `field`: of [`Imperfections`][];
+    - `field`: of `Imperfections`;
     - `size`: about how large it is, in the units of the field, shape `()`, or of each
       signal; to first order, with all else free;
     - `statistic`: of the score test, or of the likelihood ratio where it was fitted, over
@@ -59,6 +60,8 @@ def tested(
     """The errors of the record that a calibration looks for without fitting them."""
     if isinstance(model, AbstractMechanicalSystem):
         fields = ["delay"]
+    elif isinstance(model, ModelPlant):
+        fields = ["output_offset", *(["delay"] if u.shape[1] else [])]
     elif u.shape[1] == y.shape[1]:
         fields = list(CANDIDATES)
     else:

@@ -215,7 +215,7 @@ def sizes_of(signals: Signals) -> dict[str, float]:
 
 
 def fitted(name: str) -> str:
-    """The field of [`Imperfections`][] that the name of a fit stands for."""
+    """The field of `Imperfections` that the name of a fit stands for."""
     if name not in FITS:
         known = ", ".join((*FITS, "encoder_offset"))
         raise ValueError(

@@ -70,7 +70,7 @@ def calibrate(
     - `rounds`: at most; a search that has not settled by then determines nothing;
     - `fit`: errors of the record that are found as well: `"offset"` of the outputs,
       `"input_offset"`, `"gain"` of the inputs, `"dead_time"` of an inverter, `"delay"` of
-      the inputs; see [`Imperfections`][]. Gain, resistances, inductances and magnet fluxes
+      the inputs; see `Imperfections`. Gain, resistances, inductances and magnet fluxes
       have one scale in common, so that one of these must be left out of `where`. An offset
       of the outputs and one of the inputs cannot be told apart. `"threshold"` (A) is that
       of a dead time. `"encoder_offset"` (rad) is how far `angle` is ahead of the magnet,

@@ -86,5 +86,7 @@ _WHERE = (
 
 
 def _last(path: Any) -> str:
+    if path and isinstance(path[-1], jax.tree_util.DictKey):
+        return str(path[-1].key)
     names = [k.name for k in path if isinstance(k, jax.tree_util.GetAttrKey)]
     return names[-1] if names else jax.tree_util.keystr(path)

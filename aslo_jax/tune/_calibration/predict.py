@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._derive.plant import ModelPlant
 from ..._module import Module
 from ..._relations import AbstractTerms, Quadratic, Rate
 from ..._runge_kutta import runge_kutta
@@ -266,6 +267,47 @@ class NewtonPrediction(AbstractPrediction):
     @property
     def disturbed(self) -> tuple[int, ...]:
         return tuple(range(self.coordinates, 2 * self.coordinates))
+
+
+class ModelPrediction(AbstractPrediction):
+    """A model as a plant: x is its state, as a vector, the gap what is measured less what
+    is predicted. What does not change, an unknown parameter, is not disturbed.
+
+    - `parts`: steps of the solver in each interval."""
+
+    plant: ModelPlant
+    parts: int = eqx.field(static=True, default=1)
+
+    def drift(self, x: RealArray, u: RealArray, y: RealArray) -> RealArray:
+        del y
+        return self.plant.drift(x, u)
+
+    def step(
+        self,
+        x: RealArray,
+        disturbance: RealArray,
+        u: RealArray,
+        y: tuple[RealArray, RealArray],
+        h: RealArray,
+    ) -> RealArray:
+        del y
+        added = jnp.zeros_like(x).at[jnp.asarray(self.disturbed)].add(disturbance)
+        rate = lambda t, x: self.plant.drift(x, u) + added
+        step = lambda k, x: runge_kutta(rate, jnp.zeros_like(h), x, h / self.parts)
+        return jax.lax.fori_loop(0, self.parts, step, x) if self.parts > 1 else step(0, x)
+
+    def gap(self, x: RealArray, u: RealArray, y: RealArray) -> RealArray:
+        return y - self.plant.measured(x, u)
+
+    def bend(self, h: RealArray, u: RealArray, y: RealArray, turn: "Turn") -> RealArray:
+        del h, u, turn
+        return jnp.zeros_like(y)
+
+    @property
+    def disturbed(self) -> tuple[int, ...]:
+        code = self.plant.code
+        unknown = code.derived.model.unknown
+        return tuple(k for k, name in enumerate(code.names) if name not in unknown)
 
 
 def observers_of(model: Any) -> tuple[AlgebraicObserver, ...] | None:

@@ -10,6 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._derive.certificate import USELESS, typical_cutoff
+from ..._derive.plant import ModelPlant
+from ..._filters import LowPass
 from ..._module import Module
 from ..._relations import Rate
 from ..._replay import replay
@@ -20,6 +23,7 @@ from .imperfections import seen, sizes_of
 from .parameters import Parameters
 from .predict import (
     AbstractPrediction,
+    ModelPrediction,
     NewtonPrediction,
     RelationPrediction,
     answers,
@@ -32,6 +36,8 @@ from .whiten import Signals
 
 HELD = 0.5  # of inputs, as far as one knows, and how unsure that is: held or smooth
 STEP, PARTS = 0.25, 32  # of a time constant, of the solver at most; and steps at most
+NEAR = 3.0  # half widths of a range about its middle, in which an estimate is plausible
+SETTLING = 2.0  # time constants after which one is
 SLOPE = 20  # rows from which the first velocities of a mechanical system are guessed
 
 
@@ -47,7 +53,8 @@ class Form(Module):
 
     - `sizes`, `rates`: as in [`RelationPrediction`][]; `opened`: which constants are free;
     - `answers`: whether outputs answer a held input at once, so that it bends them;
-    - `parts`: as in [`NewtonPrediction`][].
+    - `parts`: as in [`NewtonPrediction`][]; `modelled`: whether the model is a plant with
+      all of its states, as [`ModelPrediction`][] has it.
     """
 
     coordinates: int = eqx.field(static=True, default=0)
@@ -56,12 +63,15 @@ class Form(Module):
     rates: tuple[bool, ...] = eqx.field(static=True, default=())
     opened: tuple[bool, ...] = eqx.field(static=True, default=())
     answers: bool = eqx.field(static=True, default=False)
+    modelled: bool = eqx.field(static=True, default=False)
 
     def prediction(self, model: Any, rest: Vector) -> AbstractPrediction:
         """Of the `model`, with the values of its free constants, and, where the outputs
         answer at once, of how far the inputs are held."""
         if self.coordinates:
             return NewtonPrediction(model, self.coordinates, self.parts)
+        if self.modelled:
+            return ModelPrediction(model, self.parts)
         relations = relations_of(model)
         assert relations is not None
         free = np.flatnonzero(self.opened)
@@ -148,6 +158,8 @@ def problem_of(
             )
     if isinstance(model, AbstractMechanicalSystem):
         return _mechanical(parameters, t, u, y, scale, tested)
+    if isinstance(model, ModelPlant):
+        return _modelled(parameters, t, u, y, cutoff, scale, tested)
     relations = relations_of(model)
     if relations is None:
         system = isinstance(model, Unwrapped | VelocityObserver)
@@ -178,6 +190,59 @@ def _mechanical(parameters, t, u, y, scale, tested):
     return Problem(parameters, form, signals, unknowns, 2 * n, tested)
 
 
+def _modelled(parameters, t, u, y, cutoff, scale, tested):
+    plant, signals = parameters.model.model, Signals(np.diff(t), u, y)
+    derived, names = plant.code.derived, plant.code.names
+    low = derived.slowest
+    if cutoff is None:
+        cutoff = typical_cutoff(derived.model, low)
+    elif not cutoff > low:
+        raise ValueError(
+            f"Argument `cutoff` must be above {low:.4g} rad/s, by the fastest mode of the "
+            f"model, but got {cutoff:.4g}."
+        )
+    observer = derived.observer(LowPass(cutoff), guard=None)
+    estimate = replay(observer, t, u, y, engine="auto")
+    known = _trusted_states(derived, estimate, t, cutoff)
+    k = int(np.argmax(known))
+    x = np.tile(np.asarray(plant.vector(plant.initial())), (t.size, 1))
+    for j, name in enumerate(derived.states):
+        x[:, names.index(name)] = np.asarray(estimate.value)[:, j]
+    for j, place in enumerate(plant.code.moving):
+        x[:, len(plant.code.states) + j] = y[:, place]
+    signals, x = Signals(*(each[k:] for each in signals)), x[k:]
+    slopes = jax.jit(jax.jacfwd(plant.drift))(jnp.asarray(x[0]), jnp.asarray(u[k]))
+    fastest = float(np.max(np.abs(np.linalg.eigvals(np.asarray(slopes))), initial=0.0))
+    parts = _steps(fastest, signals.h)
+    form = Form(modelled=True, parts=parts)
+    parameters = _scaled(parameters, form, signals, x, np.zeros(0), scale)
+    unknowns = np.concatenate([np.zeros(len(parameters.names)), x[0]])
+    return Problem(parameters, form, signals, unknowns, x.shape[1], tested)
+
+
+def _trusted_states(derived, estimate, t, cutoff):
+    """The rows whose estimates are certified, and within the ranges of the model."""
+    value = np.asarray(estimate.value)
+    ranges = [derived.model.ranges[name] for name in derived.states]
+    middle = np.array([0.5 * (low + high) for low, high in ranges])
+    half = np.array([0.5 * (high - low) for low, high in ranges])
+    near = (np.abs(value - middle) < NEAR * half).all(axis=1)
+    late = t - t[0] > SETTLING / cutoff
+    found = (np.asarray(estimate.certificate) > USELESS) & near & late
+    if not found.any():
+        raise Unobservable(
+            f"No calibration: in {t[-1] - t[0]:.3g} s of the log no estimate of "
+            f"{', '.join(derived.states)} is certified and near its range; record a longer "
+            "run, in which inputs and outputs vary, or choose another `cutoff`."
+        )
+    return found
+
+
+def _steps(fastest, h):
+    """Of the solver in an interval, for a mode as fast as that (1/s)."""
+    return int(np.clip(np.ceil(fastest * float(np.quantile(h, 0.99)) / STEP), 1, PARTS))
+
+
 def _parts(system, signals, x):
     """How many steps an interval takes whose error is that of a decay in steps of at most a
     quarter of its time constant, twice as fast as at the start."""
@@ -186,7 +251,7 @@ def _parts(system, signals, x):
     field = lambda x: system.acceleration(x[:n], x[n:], jnp.asarray(u[0]))
     slopes = np.asarray(jax.jacfwd(field)(jnp.asarray(x)))
     fastest = float(np.max(np.abs(np.linalg.eigvals(slopes[:, n:]))))
-    return int(np.clip(np.ceil(fastest * float(np.quantile(h, 0.99)) / STEP), 1, PARTS))
+    return _steps(fastest, h)
 
 
 def _related(parameters, relations, t, u, y, cutoff, constant, scale, tested):

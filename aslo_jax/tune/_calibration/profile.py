@@ -117,7 +117,8 @@ class _Walk:
         least, kept = np.inf, v
         for _ in range(NEWTON):
             residuals, slopes = self.evaluate(v)
-            found = float(residuals @ residuals)
+            with np.errstate(over="ignore"):  # a place where a model runs away
+                found = float(residuals @ residuals)
             if not found < least - 0.02 * self.variance:
                 if found < least:
                     least, kept = found, v

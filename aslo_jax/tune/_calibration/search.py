@@ -205,9 +205,11 @@ class Search:
             )
 
         found = least(self.levels)
-        if self.problem.form.coordinates and found.x[1] > np.log(DISTURBED):
+        form = self.problem.form
+        if (form.coordinates or form.modelled) and found.x[1] > np.log(DISTURBED):
             # Output errors alone are a maximum of their own: of positions the disturbance
-            # of accelerations hides below the noise.
+            # of accelerations hides below the noise, and that of the rate of an output can
+            # be taken for the noise itself.
             alone = least(np.array([self.levels[0], np.log(ALONE)]))
             found = min(found, alone, key=lambda f: f.fun)
         self.levels = found.x

@@ -1,0 +1,1 @@
+"""Continuous time: lanes that each take Runge-Kutta steps of their own."""

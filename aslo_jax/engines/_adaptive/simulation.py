@@ -1,0 +1,261 @@
+"""Continuous co-simulation by the fused engine: one run, or many beside each other."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ..._checks import is_concrete
+from ..._typing import PyTree
+from .._frontend.outlining import name_of
+from .._fused.kept import kept, key_of, shape_of
+from .._fused.program import Program
+from .._fused.refusal import notice
+from .._runtime.host import widths
+from .pairs import pair_for
+from .program import Bodies, adaptive
+from .stepper import DIVERGED, ENDED, RUNNING, Dense, Lane, Stepper
+
+
+class System(NamedTuple):
+    """What is integrated, as functions of the arrays of one lane.
+
+    - `init(arrays) -> state`, a tree; `rate(arrays, t, state)`, its derivative;
+    - `record(arrays, t, state)`: a row.
+    """
+
+    init: Callable[[PyTree], PyTree]
+    rate: Callable[[PyTree, Any, PyTree], PyTree]
+    record: Callable[[PyTree, Any, PyTree], PyTree]
+
+
+class Plan(NamedTuple):
+    """How: from t0 to t1 (s), with a tolerance of errors `atol + rtol |x|`, |x| the largest
+    value of that state up to now; rows at the instants `ts`, shape `(N,)`; no step over one
+    of the `jumps`, ascending (s)."""
+
+    t0: float
+    t1: float
+    ts: np.ndarray
+    jumps: np.ndarray
+    rtol: float
+    atol: float
+    max_steps: int
+    threads: int | None = None
+
+    @property
+    def inner(self) -> np.ndarray:
+        """The instants before t1, whose rows are interpolated."""
+        return self.ts[self.ts < self.t1]
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        bytes_of = self.ts.tobytes(), self.jumps.tobytes(), str(self.ts.dtype)
+        return self.t0, self.t1, *bytes_of, self.rtol, self.atol
+
+
+class Outcome(NamedTuple):
+    """How a lane ended: its `code`, and how many steps were accepted and rejected."""
+
+    code: Any
+    accepted: Any
+    rejected: Any
+
+
+class _Carry(NamedTuple):
+    lane: Lane
+    jump: Any  # how many are behind
+
+
+def bodies(system: System, plan: Plan) -> Bodies:
+    """The loop of a system, as functions of the arrays of a lane."""
+    pair, dtype = pair_for(plan.rtol), plan.ts.dtype
+    jumping = plan.jumps.size > 0
+    stepper = Stepper(pair, plan.rtol, plan.atol, jumping)
+    t0, t1 = (np.asarray(t, dtype) for t in (plan.t0, plan.t1))
+    # Where each piece between jumps ends, and where the next one begins.
+    before = np.nextafter(plan.jumps.astype(dtype), dtype.type(-np.inf))
+    ends = np.append(before, t1)
+    after = np.nextafter(plan.jumps.astype(dtype), dtype.type(np.inf))
+    starts, ts = np.append(after, t1), plan.inner
+
+    def of(arrays: PyTree) -> tuple[Any, Any, Callable]:
+        x, tree = ravel_pytree(system.init(arrays))
+
+        def rate(t, x):
+            return ravel_pytree(system.rate(arrays, t, tree(x)))[0]
+
+        rate.__name__ = name_of(pair.main)
+        return x, tree, jax.jit(rate)
+
+    def begin(inputs):
+        x, _, rate = of(inputs["lane"])
+        lane = stepper.begin(rate, jnp.asarray(t0), jnp.asarray(ends[0]), x)
+        carry = _Carry(lane, jnp.asarray(0) if jumping else None)
+        row = jnp.asarray(0, jnp.int64 if _wide() else jnp.int32)
+        return carry, row if len(ts) else None, None
+
+    def advance(carry, inputs, _):
+        lane, jump = carry
+        _, _, rate = of(inputs["lane"])
+        if not jumping:
+            lane, dense = stepper.step(rate, lane, jnp.asarray(t1))
+            return _Carry(lane, None), lane.code != RUNNING, dense
+        end = jnp.asarray(ends)[jump]
+        within = lambda t, x: rate(jnp.minimum(t, end), x)
+        moved, dense = stepper.step(within, lane, end)
+        there = (lane.code == RUNNING) & (moved.code == ENDED)
+        over = there & (jump < plan.jumps.size)
+        # After a jump a step is as long as the one before it was meant to be.
+        lane = moved._replace(
+            code=jnp.where(over, RUNNING, moved.code).astype(moved.code.dtype),
+            t=jnp.where(over, jnp.asarray(starts)[jump], moved.t),
+            h=jnp.where(over, jnp.maximum(moved.h, lane.h), moved.h),
+        )
+        return _Carry(lane, jump + over), lane.code != RUNNING, dense
+
+    def save(row, dense, inputs, _):
+        _, tree, rate = of(inputs["lane"])
+        dense = stepper.prepared(rate, Dense(*dense))
+        t = jnp.asarray(ts)[jnp.minimum(row, len(ts) - 1)]
+        due = dense.accepted & (row < len(ts)) & (t <= dense.end)
+        columns = system.record(inputs["lane"], t, tree(stepper.at(dense, t)))
+        return due, jnp.asarray(True), row, row + 1, columns
+
+    def finish(carry, inputs):
+        lane = carry.lane
+        outcome = Outcome(lane.code, lane.accepted, lane.rejected)
+        if len(ts) == len(plan.ts):
+            return outcome, None
+        _, tree, _ = of(inputs["lane"])
+        return outcome, system.record(inputs["lane"], jnp.asarray(t1), tree(lane.x))
+
+    return Bodies(begin, advance, finish, save if len(ts) else None)
+
+
+def _wide() -> bool:
+    return jnp.result_type(float) == jnp.float64
+
+
+class Simulation:
+    """A system whose parts that are no arrays are given, run for arrays with any axes in
+    front."""
+
+    def __init__(
+        self, system: System, plan: Plan, key: Any, tree: Any, ranks: list[int]
+    ) -> None:
+        self.system, self.plan, self.key = system, plan, key
+        self.tree, self.ranks = tree, ranks
+        self._program: Program | None = None
+
+    def shapes(self, leaves: list[Any]) -> Any:
+        def one(leaves):
+            arrays = jax.tree.unflatten(self.tree, leaves)
+            state = self.system.init(arrays)
+            t = jnp.asarray(self.plan.t0, self.plan.ts.dtype)
+            return self.system.record(arrays, t, state)
+
+        rows = len(self.plan.ts)
+        row = jax.eval_shape(one, leaves)
+        whole = lambda s: jax.ShapeDtypeStruct((rows, *s.shape), s.dtype)
+        dtype = self.plan.ts.dtype
+        number = jax.ShapeDtypeStruct((), dtype)
+        code = jax.ShapeDtypeStruct((), np.dtype(np.int32))
+        return jax.tree.map(whole, row), Outcome(code, number, number)
+
+    def __call__(self, leaves: list[Any]) -> Any:
+        leaves = [np.asarray(x) for x in leaves]
+        lead = leaves[0].shape[: leaves[0].ndim - self.ranks[0]]
+        lanes = int(np.prod(lead, dtype=int))
+        flat = [x.reshape(lanes, *x.shape[len(lead) :]) for x in leaves]
+        program = self.program([shape_of(x, 1) for x in flat])
+        rows = len(self.plan.ts)
+        record, (final, last) = program(
+            {"lane": flat}, lanes, self.plan.max_steps, threads=self.plan.threads, rows=rows
+        )
+        if last is not None:
+            record = _with_last(record, last, final.code == ENDED)
+        warn(final.code)
+        back = lambda x: x.reshape((*lead, *x.shape[1:]))
+        return jax.tree.map(back, (record, final))
+
+    def program(self, shapes: list[jax.ShapeDtypeStruct]) -> Program:
+        """For arrays of some shapes, traced and compiled once."""
+        if self._program is not None:
+            return self._program
+        given = {"lane": shapes}
+        make = lambda: adaptive(self._bodies(), given, widths())
+        static = jax.tree.map(_hashable, self.key)
+        program = kept(key_of(static, given, self.tree, *self.plan.key), make)
+        program.compile()
+        self._program = program
+        return program
+
+    def _bodies(self) -> Bodies:
+        arrays = lambda leaves: jax.tree.unflatten(self.tree, leaves)
+        system = System(
+            lambda leaves: self.system.init(arrays(leaves)),
+            lambda leaves, t, state: self.system.rate(arrays(leaves), t, state),
+            lambda leaves, t, state: self.system.record(arrays(leaves), t, state),
+        )
+        return bodies(system, self.plan)
+
+
+def _with_last(record: PyTree, last: PyTree, reached: np.ndarray) -> PyTree:
+    """Rows whose last one is that of the end, for the lanes that have reached it."""
+
+    def put(rows: np.ndarray, row: np.ndarray) -> np.ndarray:
+        blank = np.asarray(np.nan if row.dtype.kind == "f" else 0, row.dtype)
+        there = reached.reshape(-1, *(1,) * (row.ndim - 1))
+        rows[:, -1] = np.where(there, row, blank)
+        return rows
+
+    if record is None:
+        record = jax.tree.map(lambda x: np.empty((len(x), 1, *x.shape[1:]), x.dtype), last)
+    return jax.tree.map(put, record, last)
+
+
+def _hashable(x: Any) -> Any:
+    return (x.shape, x.dtype.str, x.tobytes()) if isinstance(x, np.ndarray) else x
+
+
+def warn(code: np.ndarray) -> None:
+    """Says how many runs did not reach their end, and why."""
+    stuck, many = int((code == DIVERGED).sum()), int((code == RUNNING).sum())
+    reasons = []
+    if stuck:
+        reasons.append(f"{stuck} diverged, or became too steep for any step")
+    if many:
+        reasons.append(f"{many} took all of their `max_steps` steps")
+    if reasons:
+        notice(
+            f"Of {code.size} runs {' and '.join(reasons)}: what they have saved since is "
+            "NaN. A stiff system needs an implicit solver of diffrax."
+        )
+
+
+def simulated(system: System, arrays: PyTree, static: PyTree, plan: Plan) -> Any:
+    """The rows, with a leading axis of the instants, and the outcome of a system. Under
+    `jax.vmap` the systems of a batch run beside each other. It has no derivative."""
+    leaves, tree = jax.tree.flatten(arrays)
+    ranks = [np.ndim(x) for x in leaves]
+    run = Simulation(system, plan, static, tree, ranks)
+    if is_concrete(*leaves):
+        return jax.device_put(run([np.asarray(x) for x in leaves]))
+    run.program([jax.ShapeDtypeStruct(jnp.shape(x), x.dtype) for x in leaves])
+    shapes = run.shapes([jax.ShapeDtypeStruct(jnp.shape(x), x.dtype) for x in leaves])
+
+    @jax.custom_jvp
+    def called(leaves):
+        return jax.pure_callback(run, shapes, leaves, vmap_method="broadcast_all")
+
+    @called.defjvp
+    def _refused(primals, tangents):
+        raise NotImplementedError(
+            'The fused engine has no derivatives in continuous time; use engine="diffrax".'
+        )
+
+    return called(leaves)

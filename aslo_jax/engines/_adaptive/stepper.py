@@ -1,0 +1,184 @@
+"""One attempted step of an embedded pair, with PI control of its length, as a function of
+JAX for a lane: what depends on the lane is chosen with `where`."""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from .pairs import Pair
+
+Field = Callable[[Any, Any], Any]
+SAFETY, LEAST, MOST = 0.9, 0.2, 2.5  # of the next step over this one
+STARTING, FIRST = 5, 12.0  # so many steps may become as many times longer
+SMALLEST = 4.0  # units of the last place of time: a step below is none
+
+RUNNING, ENDED, DIVERGED = 0, 1, 2
+
+
+class Lane(NamedTuple):
+    """Where a lane is: `code`, whether it runs, has ended at the last instant, or has come
+    to a point from which no step leads on; t and x, the length h to be tried, the logarithm
+    of the last error over what is tolerated, and how many steps were `accepted` and how
+    many `rejected`."""
+
+    code: Int[Array, ""]
+    t: Float[Array, ""]
+    x: Float[Array, " n"]
+    peak: Float[Array, " n"]
+    slope: Float[Array, " n"] | None
+    h: Float[Array, ""]
+    error: Float[Array, ""]
+    accepted: Float[Array, ""]
+    rejected: Float[Array, ""]
+
+
+class Dense(NamedTuple):
+    """A step from t to `end`, h long, from x, with the slopes `k` of its stages; whether it
+    was `accepted`."""
+
+    accepted: Any
+    t: Any
+    end: Any
+    h: Any
+    x: Any
+    k: list[Any]
+
+
+class Stepper(NamedTuple):
+    """Steps of a pair with a scale of tolerated errors `absolute + relative |x|`."""
+
+    pair: Pair
+    relative: Any
+    absolute: Any
+    jumps: bool = False
+
+    @property
+    def reuses(self) -> bool:
+        """Whether the last slope of a step is the first of the next one."""
+        return self.pair.reuses and not self.jumps
+
+    def begin(self, field: Field, t0: Any, t1: Any, x: Any) -> Lane:
+        """At t0, with a first step by Hairer's rule (Hairer, Norsett, Wanner, Solving
+        Ordinary Differential Equations I, section II.4)."""
+        f0 = field(t0, x)
+        span, scale = t1 - t0, self._scale(jnp.abs(x))
+        size, slope = _norm(x / scale), _norm(f0 / scale)
+        tiny = (size < 1e-5) | (slope < 1e-5)
+        h = jnp.where(tiny, 1e-6 * span, 0.01 * size / jnp.where(tiny, 1.0, slope))
+        h = jnp.minimum(h, span)
+        bent = _norm((field(t0 + h, x + h * f0) - f0) / scale) / h
+        steepest = jnp.maximum(slope, bent)
+        flat = steepest <= 1e-15
+        power = (0.01 / jnp.where(flat, 1.0, steepest)) ** (1.0 / self.pair.falls)
+        h = jnp.minimum(
+            100.0 * h, jnp.where(flat, jnp.maximum(1e-6 * span, 1e-3 * h), power)
+        )
+        zero = jnp.zeros_like(t0)
+        first = jnp.asarray(math.log(1e-4), jnp.float32)
+        code = jnp.asarray(RUNNING, jnp.int32)
+        h = jnp.minimum(h, span)
+        return Lane(
+            code, t0, x, jnp.abs(x), f0 if self.reuses else None, h, first, zero, zero
+        )
+
+    def step(self, field: Field, lane: Lane, t1: Any) -> tuple[Lane, Dense]:
+        """The lane after an attempted step, which ends at t1 at the latest."""
+        pair, t, x = self.pair, lane.t, lane.x
+        running = lane.code == RUNNING
+        left = t1 - t
+        last = left <= lane.h * (1.0 + 1e-10)
+        h = jnp.where(last, left, lane.h)
+        known = [] if lane.slope is None else [lane.slope]
+        k = slopes(pair, field, t, x, h, range(len(known), pair.main), known)
+        end = x + h * weighted(pair.weights, k)
+        peak = jnp.maximum(lane.peak, jnp.abs(end))
+        wrong = h * weighted(pair.error, k)
+        # How long a step may be need not be known to more than seven digits.
+        wrong = wrong.astype(jnp.float32) / self._scale(peak).astype(jnp.float32)
+        size = jnp.log(jnp.maximum(jnp.max(jnp.abs(wrong)), 1e-10))
+        accepted = running & (size <= 0.0)  # not where it is no number
+        known = jnp.where(size < 50.0, size, 50.0)
+        power = 1.0 / pair.falls
+        exponent = jnp.where(
+            accepted,
+            pair.gain * lane.error - (power - 0.75 * pair.gain) * known,
+            -power * known,
+        )
+        most = jnp.where(lane.accepted < STARTING, math.log(FIRST), math.log(MOST))
+        exponent = jnp.clip(exponent + math.log(SAFETY), math.log(LEAST), most)
+        factor = jnp.exp(jnp.where(accepted | (exponent < 0.0), exponent, 0.0))
+        after = h * factor.astype(h.dtype)
+        least = SMALLEST * jnp.finfo(x.dtype).eps * jnp.maximum(jnp.abs(t), jnp.abs(t1))
+        stuck = ~accepted & (h <= least)
+        code = jnp.where(
+            running,
+            jnp.where(accepted & last, ENDED, jnp.where(stuck, DIVERGED, RUNNING)),
+            lane.code,
+        ).astype(lane.code.dtype)
+        one = running.astype(t.dtype)
+        more = jnp.where(accepted, one, 0.0)
+        now = jnp.where(accepted, jnp.where(last, t1, t + h), t)
+        moved = Lane(
+            code,
+            now,
+            jnp.where(accepted, end, x),
+            jnp.where(accepted, peak, lane.peak),
+            None if lane.slope is None else jnp.where(accepted, k[-1], lane.slope),
+            jnp.where(running, after, lane.h),
+            jnp.where(accepted, jnp.maximum(size, math.log(1e-4)), lane.error),
+            lane.accepted + more,
+            lane.rejected + (one - more),
+        )
+        return moved, Dense(accepted, t, now, h, x, k)
+
+    def prepared(self, field: Field, dense: Dense) -> Dense:
+        """With the slopes of all stages of the interpolant."""
+        pair = self.pair
+        more = range(pair.main, len(pair.stages))
+        k = slopes(pair, field, dense.t, dense.x, dense.h, more, dense.k)
+        return dense._replace(k=k)
+
+    def at(self, dense: Dense, t: Any) -> Any:
+        """The state at an instant of a step that is prepared."""
+        part = (t - dense.t) / dense.h
+        total = 0.0
+        for row, k in zip(self.pair.dense, dense.k, strict=True):
+            if row.any():
+                weight = 0.0
+                for c in row[::-1]:
+                    weight = (weight + float(c)) * part
+                total = total + weight * k
+        return dense.x + dense.h * total
+
+    def _scale(self, peak: Any) -> Any:
+        return self.absolute + self.relative * peak
+
+
+def slopes(
+    pair: Pair, field: Field, t: Any, x: Any, h: Any, stages: range, known: list[Any]
+) -> list[Any]:
+    """Those that are `known`, and then those of further `stages`."""
+    k = list(known)
+    for i in stages:
+        x_i = x  # what each slope adds is small: rounding it in turn does no harm
+        for a, each in zip(pair.stages[i], k, strict=False):
+            x_i = x_i + (h * float(a)) * each if a else x_i
+        k.append(field(t + float(pair.nodes[i]) * h, x_i))
+    return k
+
+
+def weighted(weights: Any, k: list[Any]) -> Any:
+    """The sum of weighted slopes."""
+    pairs = [(float(w), each) for w, each in zip(weights, k, strict=False) if w]
+    (w, first), *rest = pairs
+    total = w * first
+    for w, each in rest:
+        total = total + w * each
+    return total
+
+
+def _norm(x: Any) -> Any:
+    return jnp.sqrt(jnp.mean(x * x))
