@@ -1,7 +1,7 @@
 """Every benchmark, or those named on the command line. `--quick`: shorter ones of `pmsm`,
 `continuous`, `tuning` and `calibration`; `--install`: environments for `peers` that need
 their own; `--regime NAME`: of `quality`, that one alone; `--only NAME`: of `plants`, that
-machine."""
+machine; `--wrong`: `plants` with wrong parameters, too."""
 
 import functools
 import sys
@@ -28,7 +28,7 @@ from . import (
 )
 
 NAMED = {"--regime", "--only"}  # followed by a name
-FLAGS = {"--quick", "--install", *NAMED}
+FLAGS = {"--quick", "--install", "--wrong", *NAMED}
 quick = "--quick" in sys.argv
 BENCHMARKS = {
     "felt": felt.main,

@@ -123,6 +123,7 @@ def test_a_description_may_name_a_plant(tmp_path):
     assert load_model("ours:heavy", tmp_path).known["mass"] == 7.0
 
 
+@pytest.mark.slow
 def test_the_fused_engine_gives_what_scan_gives():
     pytest.importorskip("llvmlite")
     plant, h = plants.Levitation(), 2e-4

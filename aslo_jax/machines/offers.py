@@ -299,12 +299,27 @@ def _refuse_slow(keys: Any, slowest: float) -> None:
             )
 
 
+def _relation_kalman(keys: Any, plant: Any, initial: Any) -> AbstractObserver:
+    """The Kalman filter of the relation of a plant that is a model."""
+    whole = lambda x, count: jnp.broadcast_to(jnp.asarray(x, float), (count,))
+    return derive(plant).kalman_filter(
+        whole(keys.output_deviation, len(plant.outputs)),
+        whole(keys.input_deviation, len(plant.inputs)),
+        prior=keys.prior,
+        threshold=keys.threshold,
+        initial=initial,
+    )
+
+
 def of_model() -> dict[str, Build]:
     """Those of a plant that is a model: what is derived from it, and copies of it. All
     begin with its parameters and first state."""
 
     def derived(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         return _derived(keys, plant, plant.hidden(start))
+
+    def lifted(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        return _relation_kalman(keys, plant, plant.hidden(start))
 
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         refuse_keys(keys, "voltage")
@@ -319,6 +334,7 @@ def of_model() -> dict[str, Build]:
     return {
         "aslo": derived,
         "a-aslo": derived,
+        "lifted_kalman": lifted,
         "kalman": kalman,
         "luenberger": luenberger,
     }
@@ -330,6 +346,9 @@ def of_modelled_machine() -> dict[str, Build]:
     def derived(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         return _derived(keys, plant, plant.hidden(start))
 
+    def lifted(keys: Any, plant: Any, start: Any) -> AbstractObserver:
+        return _relation_kalman(keys, plant, plant.hidden(start))
+
     def kalman(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         refuse_keys(keys, "drift")
         one_number(keys, "process", "measurement")
@@ -337,4 +356,9 @@ def of_modelled_machine() -> dict[str, Build]:
             plant, keys.voltage, keys.process, keys.measurement, flux=start.flux
         )
 
-    return {"aslo": derived, "a-aslo": derived, "kalman": kalman}
+    return {
+        "aslo": derived,
+        "a-aslo": derived,
+        "lifted_kalman": lifted,
+        "kalman": kalman,
+    }

@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.signal
@@ -89,17 +90,20 @@ class Luenberger(AbstractObserver):
         `initial`, shape `(s,)`, by default its own, and held there.
 
         **Raises:** `ValueError` where the plant is not observable there, and for a
-        `bandwidth` that is not positive, or traced.
+        `bandwidth` that is not positive, and where it or the plant is being traced.
         """
-        if not is_concrete(bandwidth):
-            raise ValueError("Argument `bandwidth` must be a number, but it is traced.")
+        if not is_concrete(bandwidth, *jax.tree.leaves(plant)):
+            raise ValueError(
+                "Arguments `plant` and `bandwidth` must hold numbers, but are being "
+                "traced; make the observer before."
+            )
         positive("bandwidth", bandwidth, "rad/s")
         model = PlantModel(plant)
         state = plant.initial() if initial is None else real(initial)
         x = model.joined(state)
         A, C = linearised(model, plant.balance(state), x)
         # Of entries over their ranges and time over that of the bandwidth.
-        sizes = model.spans()
+        sizes = np.asarray(model.spans())
         seen = np.array([0.5 * (s.high - s.low) for s in plant.outputs.values()])
         A = A * sizes / sizes[:, None] / bandwidth
         C = C * sizes / seen[:, None]

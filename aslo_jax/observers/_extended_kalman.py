@@ -242,7 +242,7 @@ class ExtendedKalman(AbstractObserver):
             positive(name, value)
         model, n = PlantModel(plant), len(plant.states)
         x = model.joined(plant.initial() if initial is None else real(initial))
-        square = jnp.asarray(model.spans(), x.dtype) ** 2
+        square = model.spans().astype(x.dtype) ** 2
         constant = (jnp.arange(x.size) >= n) & (jnp.arange(x.size) < n + len(plant.unknown))
         return cls(
             model,

@@ -34,10 +34,8 @@ class PlantModel(AbstractModel):
     def joined(self, state: Float[Array, " s"]) -> Float[Array, " n"]:
         """The x of a state of the plant, with the plant's own parameters."""
         n = len(self.plant.states)
-        constants = [jnp.asarray(each, state.dtype) for each in self.plant.constants()]
-        return jnp.concatenate(
-            [state[:n], jnp.stack([*constants, state[0]])[:-1], state[n:]]
-        )
+        constants = [jnp.asarray(c, state.dtype)[None] for c in self.plant.constants()]
+        return jnp.concatenate([state[:n], *constants, state[n:]])
 
     def drift(self, x: RealArray, u: PyTree) -> RealArray:
         plant, state = self.at(x)
@@ -55,12 +53,14 @@ class PlantModel(AbstractModel):
     def signals_of(self, n: int) -> dict[str, tuple[int, ...]]:
         return {"u": (len(self.plant.inputs),), "y": (len(self.plant.outputs),)}
 
-    def spans(self) -> Float[np.ndarray, " n"]:
-        """Half the range of every entry of x; of a parameter, half of its value."""
-        moving = [0.5 * (s.high - s.low) for s in self.plant.moving().values()]
-        constants = [abs(0.5 * float(each)) or 0.5 for each in self.plant.constants()]
+    def spans(self) -> Float[Array, " n"]:
+        """Half the range of every entry of x; of a parameter, half of its value, or of one
+        where that is zero."""
+        half = jnp.asarray([0.5 * (s.high - s.low) for s in self.plant.moving().values()])
+        constants = [jnp.abs(c)[None] for c in self.plant.constants()]
         n = len(self.plant.states)
-        return np.array([*moving[:n], *constants, *moving[n:]])
+        sizes = [0.5 * jnp.where(c > 0, c, 1.0) for c in constants]
+        return jnp.concatenate([half[:n], *sizes, half[n:]])
 
 
 class MachineModel(AbstractModel):

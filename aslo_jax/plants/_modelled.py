@@ -133,12 +133,8 @@ class AbstractVectorPlant(AbstractModelledPlant):
         return self.measured(*self._parts(x))
 
     def hidden(self, x: PyTree) -> RealArray:
-        constants = [jnp.asarray(each, x.dtype) for each in self.constants()]
-        return (
-            jnp.concatenate([x[: len(self.states)], jnp.stack(constants)])
-            if (constants)
-            else x[: len(self.states)]
-        )
+        constants = [jnp.asarray(each, x.dtype)[None] for each in self.constants()]
+        return jnp.concatenate([x[: len(self.states)], *constants])
 
     def balance(self, x: Float[Array, " s"]) -> Float[Array, " m"]:
         """The input that holds the plant in a state `x`, in the sense of least squares of

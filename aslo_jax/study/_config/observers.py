@@ -104,7 +104,7 @@ class KalmanTable(AbstractObserverTable):
     )
     measurement: Positive | Annotated[list[Positive], Field(min_length=1)] = key(
         "two-sided intensity of the noise on the measurement (its unit squared, s)",
-        allowed="a positive finite number, or one for each output",
+        allowed="a positive finite number, or of a model a list of them",
     )
     drift: Positive | None = key(
         "that on the unknown parameters of a plant that is a model, over the squares of "
