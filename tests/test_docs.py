@@ -27,7 +27,7 @@ def blocks(text: str) -> list[tuple[str, str, int, int]]:
     return found
 
 
-LONG = ("calibration", "batches")
+LONG = ("calibration", "batches", "small-examples")
 MARKED = [
     pytest.param(page, marks=[pytest.mark.slow] if page.stem in LONG else [])
     for page in PAGES
