@@ -13,7 +13,13 @@ from pathlib import Path
 from . import PACKAGE, ROOT
 from ._changelog import releases
 
-WHEEL_HAS = ("py.typed", "data/motor.toml", "data/pmsm_log.csv", "cli/columns.txt")
+WHEEL_HAS = (
+    "py.typed",
+    "data/motor.toml",
+    "data/pmsm_log.csv",
+    "data/site.zip",
+    "cli/columns.txt",
+)
 SDIST_HAS = ("CHANGELOG.md", "CITATION.cff", "LICENSE", "README.md", "pyproject.toml")
 
 

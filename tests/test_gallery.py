@@ -13,7 +13,7 @@ from website import _commands, _errata, _gallery, _notebooks
 
 ROOT = Path(__file__).parents[1]
 STORED = _gallery.stored_headlines()
-QUICK = {"exact_start", "double_integrator"}
+QUICK = {"exact_start"}
 CASES = [
     pytest.param(script, marks=[] if script.stem in QUICK else [pytest.mark.slow])
     for script in _gallery.scripts()

@@ -78,6 +78,25 @@ def test_every_page_of_docs_has_a_place_in_the_navigation():
     assert set(placed) == {each.stem for each in (_build.ROOT / "docs").glob("*.md")}
 
 
+@pytest.mark.parametrize(
+    ("page", "module", "base"),
+    [
+        ("observers", aslo.observers, aslo.AbstractObserver),
+        ("plants", aslo.plants, aslo.plants.AbstractPlant),
+    ],
+)
+def test_every_observer_and_plant_is_on_its_page(page, module, base):
+    text = (_build.ROOT / "docs" / f"{page}.md").read_text("utf-8")
+    kinds = {name: getattr(module, name) for name in module.__all__}
+    names = [
+        name
+        for name, kind in kinds.items()
+        if inspect.isclass(kind) and issubclass(kind, base) and "Abstract" not in name
+    ]
+    assert len(names) > 10
+    assert [name for name in names if f"`{name}`" not in text] == []
+
+
 def test_the_crawl_finds_what_is_wrong(tmp_path):
     (tmp_path / "sub").mkdir()
     (tmp_path / "a.html").write_text(

@@ -1,12 +1,13 @@
 """The page of the command line: options from the program, output from running it."""
 
 import importlib
+import inspect
 import re
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 from . import ROOT
 
@@ -54,7 +55,12 @@ def written(outputs: dict[str, str] | None = None) -> str:
     ]
     for name, command in group.commands.items():
         lines += ["", f"## {name}", "", *_paragraphs(command.help or "")]
-        rows = [_row(each) for each in command.params if each.name != "help"]
+        hints = get_type_hints(inspect.unwrap(command.callback))
+        rows = [
+            _row(each, hints.get(each.name))
+            for each in command.params
+            if each.name != "help"
+        ]
         lines += ["", "| | default | |", "| --- | --- | --- |", *filter(None, rows)]
         for line in RUN.get(name, ()):
             lines += ["", f"```console\n$ aslo-jax {line}\n{outputs[line]}```"]
@@ -69,8 +75,8 @@ def _paragraphs(text: str) -> list[str]:
     return "\n\n".join(" ".join(each.split()) for each in parts).split("\n")
 
 
-def _row(of: Any) -> str:
-    """A line of the table for an argument or an option."""
+def _row(of: Any, annotation: Any) -> str:
+    """A line of the table for an argument or an option, which takes an `annotation`."""
     said = " ".join((getattr(of, "help", "") or "").split()).replace("|", "\\|")
     if not of.opts[0].startswith("-"):
         name = of.metavar or of.name.upper()
@@ -79,13 +85,20 @@ def _row(of: Any) -> str:
         name = ", ".join(f"`{each}`" for each in of.opts)
         name += "".join(f" / `{each}`" for each in of.secondary_opts)
         if not of.is_flag:
-            kind = of.metavar or getattr(of.type_descriptor.annotation, "__name__", "")
-            name += f" `{kind.upper() if of.metavar is None else kind}`".replace("|", "\\|")
+            kind = of.metavar or _kind(annotation)
+            name += f" `{kind}`".replace("|", "\\|") if kind else ""
     default = "required" if of.required else ""
     plain = of.default is not None and not callable(of.default)
     if plain and not of.required and (not of.is_flag or of.secondary_opts):
         default = f"`{of.opts[0] if of.is_flag else of.default}`"
     return f"| {name} | {default} | {said} |"
+
+
+def _kind(annotation: Any) -> str:
+    """`PATH` of `Path | None`, `FLOAT` of `list[float]`."""
+    if annotation in (Path, int, float):
+        return annotation.__name__.upper()
+    return next(filter(None, map(_kind, get_args(annotation))), "")
 
 
 def _outputs() -> dict[str, str]:

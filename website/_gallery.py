@@ -139,7 +139,9 @@ def headline(name: str) -> str:
 
 
 def overview(suffix: str) -> str:
-    """A page with all pictures; `suffix` of what their titles lead to."""
+    """A page with all pictures; `suffix` of what their titles lead to. That of the site,
+    `".md"`, has them side by side."""
+    side_by_side = suffix == ".md"
     lines = [
         "# Gallery",
         "",
@@ -148,17 +150,22 @@ def overview(suffix: str) -> str:
     ]
     for section, names in SECTIONS.items():
         lines += ["", f"## {section}"]
+        lines += ["", '<div class="gallery" markdown="1">'] if side_by_side else []
         for name in names:
             title, _, _ = told(FOLDER / f"{name}.py")
             picture = stored_headlines()[name]["picture"]
+            heading = f"[{title}]({name}{suffix})"
             lines += [
                 "",
-                f"### [{title}]({name}{suffix})",
+                *(['<div markdown="1">', ""] if side_by_side else []),
+                f"**{heading}**" if side_by_side else f"### {heading}",
                 "",
                 f"[![{title}]({picture})]({name}{suffix})",
                 "",
                 f"{headline(name)}.",
+                *(["", "</div>"] if side_by_side else []),
             ]
+        lines += ["", "</div>"] if side_by_side else []
     return "\n".join(lines) + "\n"
 
 

@@ -16,15 +16,11 @@ KINDS = {"Module", "NamedTuple", "BaseModel"}
 
 
 class Fields(griffe.Extension):
-    """Gives every class of fields the `__init__` that its metaclass makes."""
+    """Gives every class the `__init__` that its metaclass makes of its fields, if any."""
 
     def on_package(self, *, pkg: griffe.Module, **_: Any) -> None:
         # All before the first is set: a class would inherit what its base was given.
-        lacking = [
-            each
-            for each in _classes(pkg)
-            if has_fields(each) and "__init__" not in each.all_members
-        ]
+        lacking = [each for each in _classes(pkg) if "__init__" not in each.all_members]
         for each, made in [(each, constructor(each)) for each in lacking]:
             each.set_member("__init__", made)
         # What griffe makes for dataclasses has no lines; the class is where it stands.
@@ -97,9 +93,10 @@ def has_fields(of: griffe.Class) -> bool:
 
 
 def constructor(of: griffe.Class) -> griffe.Function:
-    """`__init__` with the fields of a class and its bases, in their order."""
+    """`__init__` with the fields of a class and its bases, in their order; of an error,
+    with what errors take."""
     fields: dict[str, griffe.Attribute] = {}
-    for kind in [*reversed(of.mro()), of]:
+    for kind in [*reversed(of.mro()), of] if has_fields(of) else ():
         for name, each in kind.members.items():
             if isinstance(each, griffe.Attribute) and _is_field(each):
                 fields[name] = each
@@ -113,6 +110,9 @@ def constructor(of: griffe.Class) -> griffe.Function:
         for name, field in fields.items()
         if not _given("init", field, "False")
     ]
+    if any(str(base).endswith(("Error", "Exception")) for base in of.bases):
+        kind = griffe.ParameterKind.var_positional
+        parameters.append(griffe.Parameter("args", annotation="object", kind=kind))
     return griffe.Function(
         "__init__",
         lineno=of.lineno,

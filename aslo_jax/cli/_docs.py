@@ -45,8 +45,8 @@ def _site() -> Path:
     root = PACKAGE.parent
     if not (root / "website" / "__main__.py").is_file():
         raise FileNotFoundError(
-            "This installation has no pages: it was made from a checkout without the extra "
-            "`docs`. Run `aslo-jax docs` in the checkout, or install a wheel."
+            "This installation has no pages, since it was not made from a wheel. In the "
+            'checkout that it is of: pip install -e ".[docs]", then `aslo-jax docs`.'
         )
     html = root / "build" / "site" / "html"
     if not _is_current(html / "index.html", root):

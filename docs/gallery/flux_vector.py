@@ -51,4 +51,4 @@ def draw(frame):
 
 error = np.linalg.norm(found["exact"] - flux, axis=1) / motor.magnet_flux
 settled = np.flatnonzero(error > 0.01)[-1] + 1
-headline = "Within 1 % of the magnet flux from", 1e3 * log.t[settled], "ms on"
+headline = "Within 1 % of the magnet flux after", 1e3 * log.t[settled], "ms"

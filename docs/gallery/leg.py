@@ -70,4 +70,4 @@ def draw(frame):
 
 
 error = np.abs(np.asarray(run.estimates["ASLO"].value) - run.hidden)[1:].max()
-headline = "Largest velocity error", 1e6 * error, "1e-6 (m/s, rad/s)"
+headline = "Largest velocity error", 1e6 * error, "µm/s or µrad/s"
