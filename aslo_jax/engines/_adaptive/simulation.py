@@ -15,9 +15,10 @@ from .._fused.kept import kept, key_of, shape_of
 from .._fused.program import Program
 from .._fused.refusal import notice
 from .._runtime.host import widths
+from .marching import March
 from .pairs import pair_for
 from .program import Bodies, adaptive
-from .stepper import DIVERGED, ENDED, RUNNING, Dense, Lane, Stepper
+from .stepper import DIVERGED, ENDED, RUNNING, Dense, Stepper
 
 
 class System(NamedTuple):
@@ -65,22 +66,12 @@ class Outcome(NamedTuple):
     rejected: Any
 
 
-class _Carry(NamedTuple):
-    lane: Lane
-    jump: Any  # how many are behind
-
-
 def bodies(system: System, plan: Plan) -> Bodies:
     """The loop of a system, as functions of the arrays of a lane."""
-    pair, dtype = pair_for(plan.rtol), plan.ts.dtype
-    jumping = plan.jumps.size > 0
-    stepper = Stepper(pair, plan.rtol, plan.atol, jumping)
-    t0, t1 = (np.asarray(t, dtype) for t in (plan.t0, plan.t1))
-    # Where each piece between jumps ends, and where the next one begins.
-    before = np.nextafter(plan.jumps.astype(dtype), dtype.type(-np.inf))
-    ends = np.append(before, t1)
-    after = np.nextafter(plan.jumps.astype(dtype), dtype.type(np.inf))
-    starts, ts = np.append(after, t1), plan.inner
+    pair, dtype, ts = pair_for(plan.rtol), plan.ts.dtype, plan.inner
+    stepper = Stepper(pair, plan.rtol, plan.atol, plan.jumps.size > 0)
+    ends = (np.asarray(t, dtype) for t in (plan.t0, plan.t1))
+    march = March(stepper, plan.jumps, *ends)
 
     def of(arrays: PyTree) -> tuple[Any, Any, Callable]:
         x, tree = ravel_pytree(system.init(arrays))
@@ -93,29 +84,11 @@ def bodies(system: System, plan: Plan) -> Bodies:
 
     def begin(inputs):
         x, _, rate = of(inputs["lane"])
-        lane = stepper.begin(rate, jnp.asarray(t0), jnp.asarray(ends[0]), x)
-        carry = _Carry(lane, jnp.asarray(0) if jumping else None)
         row = jnp.asarray(0, jnp.int64 if _wide() else jnp.int32)
-        return carry, row if len(ts) else None, None
+        return march.begin(rate, x), row if len(ts) else None, None
 
     def advance(carry, inputs, _):
-        lane, jump = carry
-        _, _, rate = of(inputs["lane"])
-        if not jumping:
-            lane, dense = stepper.step(rate, lane, jnp.asarray(t1))
-            return _Carry(lane, None), lane.code != RUNNING, dense
-        end = jnp.asarray(ends)[jump]
-        within = lambda t, x: rate(jnp.minimum(t, end), x)
-        moved, dense = stepper.step(within, lane, end)
-        there = (lane.code == RUNNING) & (moved.code == ENDED)
-        over = there & (jump < plan.jumps.size)
-        # After a jump a step is as long as the one before it was meant to be.
-        lane = moved._replace(
-            code=jnp.where(over, RUNNING, moved.code).astype(moved.code.dtype),
-            t=jnp.where(over, jnp.asarray(starts)[jump], moved.t),
-            h=jnp.where(over, jnp.maximum(moved.h, lane.h), moved.h),
-        )
-        return _Carry(lane, jump + over), lane.code != RUNNING, dense
+        return march.step(of(inputs["lane"])[2], carry)
 
     def save(row, dense, inputs, _):
         _, tree, rate = of(inputs["lane"])
@@ -125,13 +98,13 @@ def bodies(system: System, plan: Plan) -> Bodies:
         columns = system.record(inputs["lane"], t, tree(stepper.at(dense, t)))
         return due, jnp.asarray(True), row, row + 1, columns
 
-    def finish(carry, inputs):
+    def finish(carry, _, inputs):
         lane = carry.lane
         outcome = Outcome(lane.code, lane.accepted, lane.rejected)
         if len(ts) == len(plan.ts):
             return outcome, None
-        _, tree, _ = of(inputs["lane"])
-        return outcome, system.record(inputs["lane"], jnp.asarray(t1), tree(lane.x))
+        tree = of(inputs["lane"])[1]
+        return outcome, system.record(inputs["lane"], jnp.asarray(march.t1), tree(lane.x))
 
     return Bodies(begin, advance, finish, save if len(ts) else None)
 

@@ -137,8 +137,9 @@ class Stepper(NamedTuple):
     def prepared(self, field: Field, dense: Dense) -> Dense:
         """With the slopes of all stages of the interpolant."""
         pair = self.pair
+        within = lambda t, x: field(jnp.minimum(t, dense.end), x)
         more = range(pair.main, len(pair.stages))
-        k = slopes(pair, field, dense.t, dense.x, dense.h, more, dense.k)
+        k = slopes(pair, within, dense.t, dense.x, dense.h, more, dense.k)
         return dense._replace(k=k)
 
     def at(self, dense: Dense, t: Any) -> Any:
