@@ -62,14 +62,14 @@ class Continuous:
             )
         leaves = [np.asarray(x) for x in leaves]
         rows = self.steps // self.every + 1
-        record, (metrics, code) = self.program(
+        record, (metrics, code, stiff) = self.program(
             {"lane": leaves},
             len(leaves[0]),
             self.max_steps,
             threads=self.threads,
             rows=rows,
         )
-        warn(code)
+        warn(code, stiff)
         return jax.tree.map(jnp.asarray, Batch(metrics, record))
 
     def _bodies(self) -> Bodies:
@@ -125,11 +125,13 @@ class Continuous:
             return due, written, saving.row // every, after, plan._kept(record)
 
         def finish(carry, saving, inputs):
-            del inputs
+            made, _, _, _, rate, stepper, _ = of(inputs)
             code = carry.lane.code
+            end = jnp.asarray(steps * made.interval, carry.lane.t.dtype)
+            stiff = stepper.stiff(rate, carry.lane, end)
             results = {n: m.result(saving.metrics[n]) for n, m in plan.metrics.items()}
             there = code == ENDED
-            return jax.tree.map(lambda x: _unless(there, x), results), code
+            return jax.tree.map(lambda x: _unless(there, x), results), code, stiff
 
         return Bodies(begin, advance, finish, save, first)
 

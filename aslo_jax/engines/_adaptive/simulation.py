@@ -59,11 +59,13 @@ class Plan(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """How a lane ended: its `code`, and how many steps were accepted and rejected."""
+    """How a lane ended: its `code`, how many steps were accepted and rejected, and whether
+    their length was bounded by stability at the end."""
 
     code: Any
     accepted: Any
     rejected: Any
+    stiff: Any
 
 
 def bodies(system: System, plan: Plan) -> Bodies:
@@ -100,10 +102,11 @@ def bodies(system: System, plan: Plan) -> Bodies:
 
     def finish(carry, _, inputs):
         lane = carry.lane
-        outcome = Outcome(lane.code, lane.accepted, lane.rejected)
+        _, tree, rate = of(inputs["lane"])
+        stiff = stepper.stiff(rate, lane, jnp.asarray(march.t1))
+        outcome = Outcome(lane.code, lane.accepted, lane.rejected, stiff)
         if len(ts) == len(plan.ts):
             return outcome, None
-        tree = of(inputs["lane"])[1]
         return outcome, system.record(inputs["lane"], jnp.asarray(march.t1), tree(lane.x))
 
     return Bodies(begin, advance, finish, save if len(ts) else None)
@@ -137,7 +140,8 @@ class Simulation:
         dtype = self.plan.ts.dtype
         number = jax.ShapeDtypeStruct((), dtype)
         code = jax.ShapeDtypeStruct((), np.dtype(np.int32))
-        return jax.tree.map(whole, row), Outcome(code, number, number)
+        flag = jax.ShapeDtypeStruct((), np.dtype(bool))
+        return jax.tree.map(whole, row), Outcome(code, number, number, flag)
 
     def __call__(self, leaves: list[Any]) -> Any:
         leaves = [np.asarray(x) for x in leaves]
@@ -151,7 +155,7 @@ class Simulation:
         )
         if last is not None:
             record = _with_last(record, last, final.code == ENDED)
-        warn(final.code)
+        warn(final.code, final.stiff)
         back = lambda x: x.reshape((*lead, *x.shape[1:]))
         return jax.tree.map(back, (record, final))
 
@@ -195,8 +199,8 @@ def _hashable(x: Any) -> Any:
     return (x.shape, x.dtype.str, x.tobytes()) if isinstance(x, np.ndarray) else x
 
 
-def warn(code: np.ndarray) -> None:
-    """Says how many runs did not reach their end, and why."""
+def warn(code: np.ndarray, stiff: np.ndarray) -> None:
+    """Says how many runs did not reach their end, and why, and how many are stiff."""
     stuck, many = int((code == DIVERGED).sum()), int((code == RUNNING).sum())
     reasons = []
     if stuck:
@@ -207,6 +211,12 @@ def warn(code: np.ndarray) -> None:
         notice(
             f"Of {code.size} runs {' and '.join(reasons)}: what they have saved since is "
             "NaN. A stiff system needs an implicit solver of diffrax."
+        )
+    if stiff.any():
+        notice(
+            f"Of {code.size} runs {int(stiff.sum())} took steps as short as stability "
+            "wants them, not accuracy: the system is stiff. It may take far less time with an "
+            "implicit solver, `solver=diffrax.Kvaerno5()`."
         )
 
 
