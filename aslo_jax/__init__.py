@@ -62,7 +62,11 @@ if TYPE_CHECKING:
         Runner as Runner,
         run_batch as run_batch,
     )
-    from .experiment import Experiment as Experiment, Record as Record
+    from .experiment import (
+        ContinuousExperiment as ContinuousExperiment,
+        Experiment as Experiment,
+        Record as Record,
+    )
     from .export import Chain as Chain, Exported as Exported, export_c as export_c
     from .filters import (
         AbstractFilter as AbstractFilter,
@@ -141,6 +145,7 @@ __all__ = [
     "BearingObserver",
     "Chain",
     "Citation",
+    "ContinuousExperiment",
     "Derived",
     "Estimate",
     "Experiment",
@@ -227,7 +232,7 @@ __getattr__, __dir__ = _lazily(
         "completions": ("AbstractCompletion", "FilterBank", "LeastSquares", "Repeat"),
         "derivation": ("Derived", "Model", "NotDerivable", "derive"),
         "engines": ("Batch", "NotFusible", "Runner", "run_batch"),
-        "experiment": ("Experiment", "Record"),
+        "experiment": ("ContinuousExperiment", "Experiment", "Record"),
         "export": ("Chain", "Exported", "export_c"),
         "filters": ("AbstractFilter", "LinearFilter", "LowPass"),
         "guard": ("Guard",),

@@ -224,6 +224,31 @@ def test_steps_run_out():
     assert np.isnan(solution.x[-1]).all()
 
 
+class Relaxing(Explosive):
+    """x' = rate (cos(t) - x)."""
+
+    def vector_field(self, t, x, u):
+        return self.rate * (jnp.cos(t) - x) + 0.0 * u
+
+
+def test_stiffness_is_told_and_the_solution_right():
+    rates = jnp.array([1.0, 3e4])
+    one = lambda rate: aslo.simulate(
+        Relaxing(rate),
+        lambda t: jnp.zeros(1),
+        {"N": Nothing()},
+        t1=1.0,
+        ts=np.array([1.0]),
+        engine="fused",
+    )
+    with pytest.warns(UserWarning, match="Of 2 runs 1 took steps as short as stability"):
+        solution = jax.vmap(one)(rates)
+    r = np.asarray(rates)
+    settled = r * (r * np.cos(1.0) + np.sin(1.0)) / (r**2 + 1.0)
+    exact = settled + np.exp(-r) * (1.0 - r**2 / (r**2 + 1.0))
+    np.testing.assert_allclose(solution.x[:, 0, 0], exact, atol=1e-7)
+
+
 # -- the face -----------------------------------------------------------------------------
 
 

@@ -89,6 +89,18 @@ def test_the_interpolant_ends_where_the_step_does(name):
     np.testing.assert_allclose(pair.dense.sum(axis=1), end, atol=1e-10)
 
 
+@named
+def test_the_interval_of_stability(name):
+    pair = PAIRS[name][0]()
+    A, b = pair.stages[: pair.main, : pair.main], pair.weights
+
+    def growth(z):
+        return abs(1 + z * b @ np.linalg.solve(np.eye(len(b)) - z * A, np.ones(len(b))))
+
+    inside = np.linspace(-pair.stable + 0.01, -0.01, 400)
+    assert max(map(growth, inside)) < 1.0 < growth(-pair.stable - 0.01)
+
+
 def test_the_pair_follows_the_tolerance():
     assert pair_for(LOOSE).name == "Tsit5" and pair_for(1e-8).name == "Verner 9(8)"
     assert tsit5().reuses and not verner98().reuses

@@ -20,11 +20,13 @@ from .._checks import (
     unlike,
     whole,
 )
+from .._continuous import ContinuousExperiment
 from .._experiment import Experiment, Record
 from .._module import WIDTH
 from .._typing import Engine, PyTree, RunningEngine
 from ..metrics import AbstractMetric
 from ..metrics._base import MakeMetric, metric_of_each
+from ._adaptive.batch import Continuous, run_by_diffrax
 from ._fused.batch import Fused
 from ._fused.plan import Batch as Batch, Plan
 from ._fused.refusal import notice, refusal
@@ -91,6 +93,7 @@ class Runner:
         kind("metrics", metrics, Mapping, hint="metrics by name, a dictionary")
         self.steps, self.every, self.block = steps, every, block
         self._like = like = jax.tree.map(shape_of, words(like))
+        self._continuous = _is_continuous(make, like)
         if steps > COUNTED:
             interval = jax.eval_shape(lambda x: getattr(make(x), "interval", None), like)
             if interval is not None:  # what has none keeps no time
@@ -101,8 +104,14 @@ class Runner:
             self._fused = self._traced(threads)
         self.engine = "scan" if self._fused is None else "fused"
         if self._fused is None:
-            state, kept = jax.eval_shape(self._plan.first, like)
-            self.shapes = Batch(jax.eval_shape(self._plan.results, state), kept)
+            if self._continuous:
+                self.shapes = self._shapes_by_diffrax()
+            else:
+                state, kept = jax.eval_shape(self._plan.first, like)
+                self.shapes = Batch(jax.eval_shape(self._plan.results, state), kept)
+        elif isinstance(self._fused, Continuous):
+            final, record = self._fused.program.final, self._fused.program.record
+            self.shapes = Batch(final[0], record)
         else:
             self.shapes = Batch(self._fused.program.final, self._fused.program.record)
 
@@ -118,10 +127,14 @@ class Runner:
         """Without what it was traced from, whose classes may exist in this process only."""
         return vars(self) | ({} if self._fused is None else {"_plan": None})
 
-    def _traced(self, threads: int | None) -> Fused | None:
+    def _traced(self, threads: int | None) -> Fused | Continuous | None:
         """With what refuses to be traced refused now, or left to the other engine."""
         otherwise = self._resort if self._may_scan else None
-        fused = Fused(self._plan, self._like, self.steps, self.every, threads, otherwise)
+        given = self._plan, self._like, self.steps, self.every, threads
+        if self._continuous:
+            fused: Fused | Continuous = Continuous(*given)
+        else:
+            fused = Fused(*given, otherwise)
         try:
             fused.program  # noqa: B018
             return fused
@@ -138,7 +151,21 @@ class Runner:
         """Raises what the engine `"scan"` would: errors of the experiment itself."""
         one = lambda s: jax.ShapeDtypeStruct((1, *s.shape), s.dtype)
         samples = jax.tree.map(one, self._like)
-        eqx.filter_eval_shape(_scanned, self._plan, samples, self.steps, self.every)
+        eqx.filter_eval_shape(self._run, self._plan, samples, self.steps, self.every)
+
+    def _shapes_by_diffrax(self) -> Batch:
+        one = lambda s: jax.ShapeDtypeStruct((1, *s.shape), s.dtype)
+        samples = jax.tree.map(one, self._like)
+        given = self._plan, samples, self.steps, self.every
+        found = eqx.filter_eval_shape(_by_diffrax, *given)
+        drop = lambda n: lambda s: jax.ShapeDtypeStruct(s.shape[n:], s.dtype)
+        metrics, record = found.metrics, found.record
+        return Batch(jax.tree.map(drop(1), metrics), jax.tree.map(drop(2), record))
+
+    @property
+    def _run(self) -> Callable[..., Batch]:
+        """Of the engine `"scan"`."""
+        return _by_diffrax if self._continuous else _scanned
 
     def __call__(self, parameters: PyTree) -> Batch:
         samples = fitted(arrays(parameters), self._like)
@@ -156,7 +183,7 @@ class Runner:
     def _scanned(self, samples: PyTree) -> Batch:
         lanes = lanes_of(samples)
         if self.block is None or not lanes:
-            return _scanned(self._plan, samples, self.steps, self.every)
+            return self._run(self._plan, samples, self.steps, self.every)
         return self._in_blocks(samples, lanes, self.block)
 
     def _in_blocks(self, samples: PyTree, lanes: int, block: int) -> Batch:
@@ -165,7 +192,7 @@ class Runner:
             lambda x: jnp.concatenate([x, jnp.repeat(x[-1:], padding, axis=0)]), samples
         )
         pieces = [
-            _scanned(
+            self._run(
                 self._plan,
                 jax.tree.map(lambda x, k=k: x[k : k + block], samples),
                 self.steps,
@@ -248,6 +275,14 @@ def _shape(x: Any) -> wl.AbstractDoc | None:
     if not isinstance(x, jax.ShapeDtypeStruct):
         return None
     return wl.array_summary(x.shape, f"{x.dtype}", kind=None)
+
+
+def _is_continuous(make: Any, like: PyTree) -> bool:
+    made = eqx.filter_eval_shape(make, like)
+    return isinstance(made, ContinuousExperiment)
+
+
+_by_diffrax = eqx.filter_jit(run_by_diffrax)
 
 
 @eqx.filter_jit

@@ -15,7 +15,7 @@ class Pair(NamedTuple):
     the estimate of its error, which vanishes with the power `falls` of the step; `dense`,
     shape `(N, powers)`, the weights of the interpolant as polynomials, without constants,
     of the fraction of a step. `gain`, the exponent of the integral part of the step's PI
-    controller."""
+    controller; `stable`, how far the pair is so on the negative real axis."""
 
     name: str
     order: int
@@ -26,6 +26,7 @@ class Pair(NamedTuple):
     error: np.ndarray
     dense: np.ndarray
     gain: float
+    stable: float
 
     @property
     def reuses(self) -> bool:
@@ -55,7 +56,7 @@ def verner98() -> Pair:
     weights, error = _parsed(verner.WEIGHTS, 2, 16)
     stages = _parsed(verner.STAGES, 26, 26)
     dense = _parsed(verner.DENSE, 26, 9)
-    return Pair("Verner 9(8)", 9, 9, 16, stages, weights, error, dense, 0.04)
+    return Pair("Verner 9(8)", 9, 9, 16, stages, weights, error, dense, 0.04, 4.48)
 
 
 @functools.cache
@@ -94,7 +95,7 @@ def tsit5() -> Pair:
         2.5 * z**2 * (z - 1) * (z - 0.6),
     ]
     dense = np.array([p.coeffs[::-1][1:5] for p in polynomials])
-    return Pair("Tsit5", 5, 5, 7, stages, stages[6], error, dense, 0.07)
+    return Pair("Tsit5", 5, 5, 7, stages, stages[6], error, dense, 0.07, 3.51)
 
 
 LOOSE = 1e-5  # tolerance from which on the pair of lower order takes less

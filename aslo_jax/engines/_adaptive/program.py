@@ -25,7 +25,8 @@ class Bodies(NamedTuple):
     - `advance(carry, inputs, kept) -> (carry, done, dense)`: an attempted step;
     - `save(saving, dense, inputs, kept) -> (due, written, row, saving, columns)`: the next
       row of a step, see `Adaptive`;
-    - `first(saving, inputs) -> columns`: of the row 0, before any step;
+    - `first(inputs) -> columns`: of the row 0, before any step; None where that is saved
+      like the others;
     - `finish(carry, saving, inputs) -> final`.
     """
 
@@ -33,6 +34,7 @@ class Bodies(NamedTuple):
     advance: Callable[..., tuple[PyTree, Any, PyTree]]
     finish: Callable[..., PyTree]
     save: Callable[..., tuple[Any, Any, Any, PyTree, PyTree]] | None = None
+    first: Callable[..., PyTree] | None = None
 
 
 @uncollected()
@@ -52,25 +54,29 @@ def adaptive(
     stepped = flatten(graph, advance, [*given.carry, *given.fixed, *kept_numbers])
     after, done, of_step = stepped[:size], stepped[size], stepped[size + 1 :]
     record, first, columns, entries = list(flat([done])), [], None, 0
+    now = numbered(graph, "saving", saving)
     if bodies.save is not None:
         save, (*_, columns) = make(bodies.save, saving, dense, inputs, kept)
-        now = numbered(graph, "saving", saving)
         saved = flatten(graph, save, [*now, *of_step, *given.fixed, *kept_numbers])
         due, written, row, *rest = flat(saved)
         record += [due, written, graph.convert(row, np.int64), *rest]
         starts = flat(begun[size : size + more])
         entries = len(starts)
         head = [graph.const(False, bool)] * 3 + [graph.const(0, np.int64)]
-        blank = [graph.const(0, graph.dtype(n)) for n in record[4 + entries :]]
+        blank: Sequence[int] = [
+            graph.const(0, graph.dtype(n)) for n in record[4 + entries :]
+        ]
+        if bodies.first is not None:
+            blank = flat(flatten(graph, make(bodies.first, inputs)[0], given.fixed))
         first = [*head, *starts, *blank]
-    finish, final = make(bodies.finish, carry, inputs)
+    finish, final = make(bodies.finish, carry, saving, inputs)
     loop = Loop(
         graph,
         flat(begun[:size]),
         flat(after),
         record=tuple(record),
         first=tuple(first),
-        final=flat(flatten(graph, finish, [*given.carry, *given.fixed])),
+        final=flat(flatten(graph, finish, [*given.carry, *now, *given.fixed])),
         adaptive=Adaptive(entries),
     )
     return Program(loop, columns, final, widths, without=WITHOUT, **choice)

@@ -15,9 +15,10 @@ from .._fused.kept import kept, key_of, shape_of
 from .._fused.program import Program
 from .._fused.refusal import notice
 from .._runtime.host import widths
+from .marching import March
 from .pairs import pair_for
 from .program import Bodies, adaptive
-from .stepper import DIVERGED, ENDED, RUNNING, Dense, Lane, Stepper
+from .stepper import DIVERGED, ENDED, RUNNING, Dense, Stepper
 
 
 class System(NamedTuple):
@@ -58,29 +59,21 @@ class Plan(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """How a lane ended: its `code`, and how many steps were accepted and rejected."""
+    """How a lane ended: its `code`, how many steps were accepted and rejected, and whether
+    their length was bounded by stability at the end."""
 
     code: Any
     accepted: Any
     rejected: Any
-
-
-class _Carry(NamedTuple):
-    lane: Lane
-    jump: Any  # how many are behind
+    stiff: Any
 
 
 def bodies(system: System, plan: Plan) -> Bodies:
     """The loop of a system, as functions of the arrays of a lane."""
-    pair, dtype = pair_for(plan.rtol), plan.ts.dtype
-    jumping = plan.jumps.size > 0
-    stepper = Stepper(pair, plan.rtol, plan.atol, jumping)
-    t0, t1 = (np.asarray(t, dtype) for t in (plan.t0, plan.t1))
-    # Where each piece between jumps ends, and where the next one begins.
-    before = np.nextafter(plan.jumps.astype(dtype), dtype.type(-np.inf))
-    ends = np.append(before, t1)
-    after = np.nextafter(plan.jumps.astype(dtype), dtype.type(np.inf))
-    starts, ts = np.append(after, t1), plan.inner
+    pair, dtype, ts = pair_for(plan.rtol), plan.ts.dtype, plan.inner
+    stepper = Stepper(pair, plan.rtol, plan.atol, plan.jumps.size > 0)
+    ends = (np.asarray(t, dtype) for t in (plan.t0, plan.t1))
+    march = March(stepper, plan.jumps, *ends)
 
     def of(arrays: PyTree) -> tuple[Any, Any, Callable]:
         x, tree = ravel_pytree(system.init(arrays))
@@ -93,29 +86,11 @@ def bodies(system: System, plan: Plan) -> Bodies:
 
     def begin(inputs):
         x, _, rate = of(inputs["lane"])
-        lane = stepper.begin(rate, jnp.asarray(t0), jnp.asarray(ends[0]), x)
-        carry = _Carry(lane, jnp.asarray(0) if jumping else None)
         row = jnp.asarray(0, jnp.int64 if _wide() else jnp.int32)
-        return carry, row if len(ts) else None, None
+        return march.begin(rate, x), row if len(ts) else None, None
 
     def advance(carry, inputs, _):
-        lane, jump = carry
-        _, _, rate = of(inputs["lane"])
-        if not jumping:
-            lane, dense = stepper.step(rate, lane, jnp.asarray(t1))
-            return _Carry(lane, None), lane.code != RUNNING, dense
-        end = jnp.asarray(ends)[jump]
-        within = lambda t, x: rate(jnp.minimum(t, end), x)
-        moved, dense = stepper.step(within, lane, end)
-        there = (lane.code == RUNNING) & (moved.code == ENDED)
-        over = there & (jump < plan.jumps.size)
-        # After a jump a step is as long as the one before it was meant to be.
-        lane = moved._replace(
-            code=jnp.where(over, RUNNING, moved.code).astype(moved.code.dtype),
-            t=jnp.where(over, jnp.asarray(starts)[jump], moved.t),
-            h=jnp.where(over, jnp.maximum(moved.h, lane.h), moved.h),
-        )
-        return _Carry(lane, jump + over), lane.code != RUNNING, dense
+        return march.step(of(inputs["lane"])[2], carry)
 
     def save(row, dense, inputs, _):
         _, tree, rate = of(inputs["lane"])
@@ -125,13 +100,14 @@ def bodies(system: System, plan: Plan) -> Bodies:
         columns = system.record(inputs["lane"], t, tree(stepper.at(dense, t)))
         return due, jnp.asarray(True), row, row + 1, columns
 
-    def finish(carry, inputs):
+    def finish(carry, _, inputs):
         lane = carry.lane
-        outcome = Outcome(lane.code, lane.accepted, lane.rejected)
+        _, tree, rate = of(inputs["lane"])
+        stiff = stepper.stiff(rate, lane, jnp.asarray(march.t1))
+        outcome = Outcome(lane.code, lane.accepted, lane.rejected, stiff)
         if len(ts) == len(plan.ts):
             return outcome, None
-        _, tree, _ = of(inputs["lane"])
-        return outcome, system.record(inputs["lane"], jnp.asarray(t1), tree(lane.x))
+        return outcome, system.record(inputs["lane"], jnp.asarray(march.t1), tree(lane.x))
 
     return Bodies(begin, advance, finish, save if len(ts) else None)
 
@@ -164,7 +140,8 @@ class Simulation:
         dtype = self.plan.ts.dtype
         number = jax.ShapeDtypeStruct((), dtype)
         code = jax.ShapeDtypeStruct((), np.dtype(np.int32))
-        return jax.tree.map(whole, row), Outcome(code, number, number)
+        flag = jax.ShapeDtypeStruct((), np.dtype(bool))
+        return jax.tree.map(whole, row), Outcome(code, number, number, flag)
 
     def __call__(self, leaves: list[Any]) -> Any:
         leaves = [np.asarray(x) for x in leaves]
@@ -178,7 +155,7 @@ class Simulation:
         )
         if last is not None:
             record = _with_last(record, last, final.code == ENDED)
-        warn(final.code)
+        warn(final.code, final.stiff)
         back = lambda x: x.reshape((*lead, *x.shape[1:]))
         return jax.tree.map(back, (record, final))
 
@@ -222,8 +199,8 @@ def _hashable(x: Any) -> Any:
     return (x.shape, x.dtype.str, x.tobytes()) if isinstance(x, np.ndarray) else x
 
 
-def warn(code: np.ndarray) -> None:
-    """Says how many runs did not reach their end, and why."""
+def warn(code: np.ndarray, stiff: np.ndarray) -> None:
+    """Says how many runs did not reach their end, and why, and how many are stiff."""
     stuck, many = int((code == DIVERGED).sum()), int((code == RUNNING).sum())
     reasons = []
     if stuck:
@@ -234,6 +211,12 @@ def warn(code: np.ndarray) -> None:
         notice(
             f"Of {code.size} runs {' and '.join(reasons)}: what they have saved since is "
             "NaN. A stiff system needs an implicit solver of diffrax."
+        )
+    if stiff.any():
+        notice(
+            f"Of {code.size} runs {int(stiff.sum())} took steps as short as stability "
+            "wants them, not accuracy: the system is stiff. It may take far less time with an "
+            "implicit solver, `solver=diffrax.Kvaerno5()`."
         )
 
 

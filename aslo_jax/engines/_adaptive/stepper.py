@@ -13,6 +13,8 @@ from .pairs import Pair
 Field = Callable[[Any, Any], Any]
 SAFETY, LEAST, MOST = 0.9, 0.2, 2.5  # of the next step over this one
 STARTING, FIRST = 5, 12.0  # so many steps may become as many times longer
+ITERATIONS = 6  # of the largest rate
+BOUNDED = 0.8  # of the stable interval
 SMALLEST = 4.0  # units of the last place of time: a step below is none
 
 RUNNING, ENDED, DIVERGED = 0, 1, 2
@@ -111,6 +113,7 @@ class Stepper(NamedTuple):
         exponent = jnp.clip(exponent + math.log(SAFETY), math.log(LEAST), most)
         factor = jnp.exp(jnp.where(accepted | (exponent < 0.0), exponent, 0.0))
         after = h * factor.astype(h.dtype)
+        after = jnp.where(accepted & last, jnp.maximum(after, lane.h), after)
         least = SMALLEST * jnp.finfo(x.dtype).eps * jnp.maximum(jnp.abs(t), jnp.abs(t1))
         stuck = ~accepted & (h <= least)
         code = jnp.where(
@@ -134,11 +137,27 @@ class Stepper(NamedTuple):
         )
         return moved, Dense(accepted, t, now, h, x, k)
 
+    def stiff(self, field: Field, lane: Lane, t1: Any) -> Any:
+        """Whether the next step would be bounded by stability: its length times the largest
+        rate of the linearised system, by some steps of the power iteration, is near the end
+        of the interval on the negative real axis where the pair is stable."""
+        scale = self._scale(lane.peak)
+        f = field(t1, lane.x)
+        v = jnp.where(f >= 0.0, scale, -scale)
+        rate = jnp.zeros_like(lane.t)
+        for _ in range(ITERATIONS):
+            moved = field(t1, lane.x + v) - f
+            size = _norm(moved / scale)
+            rate = size / _norm(v / scale)
+            v = moved / jnp.where(size > 0.0, size, 1.0)
+        return (lane.code == ENDED) & (lane.h * rate > BOUNDED * self.pair.stable)
+
     def prepared(self, field: Field, dense: Dense) -> Dense:
         """With the slopes of all stages of the interpolant."""
         pair = self.pair
+        within = lambda t, x: field(jnp.minimum(t, dense.end), x)
         more = range(pair.main, len(pair.stages))
-        k = slopes(pair, field, dense.t, dense.x, dense.h, more, dense.k)
+        k = slopes(pair, within, dense.t, dense.x, dense.h, more, dense.k)
         return dense._replace(k=k)
 
     def at(self, dense: Dense, t: Any) -> Any:

@@ -44,7 +44,7 @@ def verify(loop: Loop) -> None:
         _pairs(loop, "first", "record")
     _inputs(loop, "begin", loop.begin, TIMELESS)
     _inputs(loop, "first", loop.first, TIMELESS)
-    _inputs(loop, "final", loop.final, (*TIMELESS, "carry"))
+    _inputs(loop, "final", loop.final, (*TIMELESS, "carry", "saving"))
     _inputs(loop, "a step", (*loop.carry, *loop.record), INPUTS)
     conditions = (*loop.conditions, *loop.branches)
     _inputs(loop, "a branch", conditions, INPUTS)

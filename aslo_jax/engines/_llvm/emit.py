@@ -298,6 +298,8 @@ class _Kernel:
         for slot, number in self.inputs.items():
             if slot[0] == "carry":
                 self.values.read(slot, number)
+        if self.saving is not None:
+            self.saving.read()
         self.groups.forget()
         self.values.compute(self.body.moving(self.graph.reachable(list(self.loop.final))))
         self._write("final", self.loop.final, "0")

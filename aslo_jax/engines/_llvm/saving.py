@@ -60,7 +60,7 @@ class Saving:
         `advanced`."""
         parts, out = self._parts(), self.out
         before = dict(self.values.vectors)
-        self._read()
+        self.read()
         self.values.compute(parts.due)
         self._branch("prelude")
         out.label("prelude")
@@ -69,7 +69,7 @@ class Saving:
         out.line("br label %rows")
         out.label("rows")
         common = dict(self.values.vectors)
-        self._read()
+        self.read()
         self.values.compute(parts.due)
         self._branch("row")
         out.label("row")
@@ -95,7 +95,8 @@ class Saving:
             [n for n in record if n in own and n not in due],
         )
 
-    def _read(self) -> None:
+    def read(self) -> None:
+        """What goes on from row to row."""
         for i, number in enumerate(self.entries):
             dtype = self.graph.dtype(number)
             given = self.graph.input(dtype, ("saving", i))

@@ -1,0 +1,161 @@
+"""Batches of continuous experiments: every lane of a fused loop, or every run of diffrax,
+with metrics and records at even instants."""
+
+import functools
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ..._checks import is_concrete
+from ..._continuous import recorded
+from ..._typing import PyTree
+from .._frontend.outlining import name_of
+from .._fused.plan import Batch, Plan
+from .._fused.program import Program
+from .._runtime.host import widths
+from .marching import March
+from .pairs import pair_for
+from .program import Bodies, adaptive
+from .simulation import warn
+from .stepper import ENDED, Dense, Stepper
+
+
+class Saving(NamedTuple):
+    """The next row, and the states of the metrics."""
+
+    row: Any
+    metrics: PyTree
+
+
+class Continuous:
+    """A batch of one plan, `like` the shapes of one of its samples, over so many intervals,
+    of which every `every`-th is recorded. Called with samples, it runs."""
+
+    def __init__(
+        self, plan: Plan, like: PyTree, steps: int, every: int, threads: int | None
+    ) -> None:
+        self.plan, self.steps, self.every, self.threads = plan, steps, every, threads
+        self.sample, self.tree = jax.tree.flatten(like)
+        made: Any = eqx.filter_eval_shape(plan.make, like)
+        self.max_steps = made.max_steps
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What runs."""
+        self.program  # noqa: B018  traced here
+        return vars(self) | {"plan": None}
+
+    @functools.cached_property
+    def program(self) -> Program:
+        """Traced when it is first asked for, and compiled when first called."""
+        return adaptive(self._bodies(), {"lane": self.sample}, widths())
+
+    def __call__(self, samples: PyTree) -> Batch:
+        leaves = jax.tree.leaves(samples)
+        if not is_concrete(*leaves):
+            raise NotImplementedError(
+                "The fused engine has no derivatives in continuous time, and runs outside "
+                'of `jax.jit`; use engine="scan".'
+            )
+        leaves = [np.asarray(x) for x in leaves]
+        rows = self.steps // self.every + 1
+        record, (metrics, code, stiff) = self.program(
+            {"lane": leaves},
+            len(leaves[0]),
+            self.max_steps,
+            threads=self.threads,
+            rows=rows,
+        )
+        warn(code, stiff)
+        return jax.tree.map(jnp.asarray, Batch(metrics, record))
+
+    def _bodies(self) -> Bodies:
+        plan, steps, every = self.plan, self.steps, self.every
+
+        def experiment(inputs) -> Any:
+            return plan.make(jax.tree.unflatten(self.tree, inputs["lane"]))
+
+        def of(inputs):
+            made = experiment(inputs)
+            loop, x0 = made.begun(steps)
+            start = loop.init(jnp.zeros((), jnp.result_type(float)), x0)
+            x, tree = ravel_pytree(start)
+            pair = pair_for(made.rtol)
+
+            def rate(t, x):
+                return ravel_pytree(loop.vector_field(t, tree(x), None))[0]
+
+            rate.__name__ = name_of(pair.main)
+            jumps = np.empty(0) if loop.span is None else loop.span.jumps
+            stepper = Stepper(pair, made.rtol, made.atol, jumps.size > 0)
+            ends = (np.asarray(t, x.dtype) for t in (0.0, steps * made.interval))
+            march = March(stepper, jumps, *ends)
+            return made, loop, x, tree, jax.jit(rate), stepper, march
+
+        def begin(inputs):
+            _, loop, x, tree, rate, _, march = of(inputs)
+            record = recorded(loop, jnp.zeros((), x.dtype), tree(x))
+            metrics = {name: m.init(record) for name, m in plan.metrics.items()}
+            return march.begin(rate, x), Saving(jnp.asarray(1), metrics), None
+
+        def first(inputs):
+            _, loop, x, tree, *_ = of(inputs)
+            return plan._kept(recorded(loop, jnp.zeros((), x.dtype), tree(x)))
+
+        def advance(carry, inputs, _):
+            *_, rate, _, march = of(inputs)
+            return march.step(rate, carry)
+
+        def save(saving, dense, inputs, _):
+            made, loop, _, tree, rate, stepper, _ = of(inputs)
+            dense = stepper.prepared(rate, Dense(*dense))
+            last = saving.row >= steps
+            t = jnp.where(last, steps * made.interval, saving.row * made.interval)
+            due = dense.accepted & (saving.row <= steps) & (t <= dense.end)
+            record = recorded(loop, t, tree(stepper.at(dense, t)))
+            metrics = {
+                name: m.update(saving.metrics[name], record)
+                for name, m in plan.metrics.items()
+            }
+            after = Saving(saving.row + 1, metrics)
+            written = saving.row % every == 0
+            return due, written, saving.row // every, after, plan._kept(record)
+
+        def finish(carry, saving, inputs):
+            made, _, _, _, rate, stepper, _ = of(inputs)
+            code = carry.lane.code
+            end = jnp.asarray(steps * made.interval, carry.lane.t.dtype)
+            stiff = stepper.stiff(rate, carry.lane, end)
+            results = {n: m.result(saving.metrics[n]) for n, m in plan.metrics.items()}
+            there = code == ENDED
+            return jax.tree.map(lambda x: _unless(there, x), results), code, stiff
+
+        return Bodies(begin, advance, finish, save, first)
+
+
+def _unless(there: Any, x: Any) -> Any:
+    """A metric, which a run that does not reach its end has not."""
+    return jnp.where(there, x, jnp.nan) if jnp.issubdtype(x.dtype, jnp.floating) else x
+
+
+def run_by_diffrax(plan: Plan, samples: PyTree, steps: int, every: int) -> Batch:
+    """The same by diffrax, vectorised."""
+
+    def one(sample):
+        records = plan.make(sample).run(steps)
+        row = lambda k: jax.tree.map(lambda x: x[k], records)
+        metrics = {name: m.init(row(0)) for name, m in plan.metrics.items()}
+
+        def update(states, record):
+            return {n: m.update(states[n], record) for n, m in plan.metrics.items()}, None
+
+        rest = jax.tree.map(lambda x: x[1:], records)
+        metrics, _ = jax.lax.scan(update, metrics, rest)
+        kept = jax.tree.map(lambda x: x[::every], records)
+        kept = None if plan.record is None else jax.vmap(plan.record)(kept)
+        return Batch({n: m.result(metrics[n]) for n, m in plan.metrics.items()}, kept)
+
+    return jax.vmap(one)(samples)
