@@ -195,3 +195,16 @@ def test_a_primitive_that_is_not_known_is_refused_by_its_line():
 
     with pytest.raises(aslo.NotFusible, match=r"test_derive_refusals\.py"):
         derive(of_output(lambda x, y: called(x[0])))
+
+
+def test_a_function_that_fails_is_named():
+    model = aslo.Model(
+        f=lambda x, y, u, p: [p["gain"] * u[0]],
+        g=lambda x, y, u, p: [p["gian"] * x[0]],
+        states={"v": (-1, 1)},
+        outputs={"q": (-1, 1)},
+        inputs={"force": (-1, 1)},
+        parameters={"gain": 2.0},
+    )
+    with pytest.raises(ValueError, match="Argument `g` must be .* fails: KeyError: 'gian'"):
+        aslo.derive(model)

@@ -132,11 +132,16 @@ class Model:
         named |= dict(zip(self.unknown, x[count:], strict=True))
         parameters = {name: named[name] for name in self.parameters}
         arguments = x[:count], y, u
-        return (
-            function(*arguments, parameters)
-            if wants_parameters(function)
-            else function(*arguments)
-        )
+        if wants_parameters(function):
+            arguments = *arguments, parameters
+        try:
+            return function(*arguments)
+        except (LookupError, AttributeError, NameError, ArithmeticError) as error:
+            name = next(each for each in "fgh" if getattr(self, each) is function)
+            raise ValueError(
+                f"Argument `{name}` must be a function of x, y, u and p, but fails: "
+                f"{type(error).__name__}: {error}."
+            ) from error
 
     def _count(self, name: str, found: Sequence[Any], count: int, what: str) -> None:
         if len(found) != count:
