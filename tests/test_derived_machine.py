@@ -347,3 +347,31 @@ def test_an_observer_of_a_model_is_exported(folder, capsys):
     )  # fmt: skip
     assert code == 0 and "operations a step" in printed
     assert "8 parameters" in printed  # none of them twice
+
+
+PMSM = """
+import aslo_jax as aslo
+
+pmsm = aslo.Model(
+    f=lambda x, y, u, p: u - p["R"] * y,
+    h=lambda x, y, u, p: [((x - p["L"] * y) ** 2).sum() - p["m"] ** 2],
+    states={"flux_alpha": (-0.5, 0.5), "flux_beta": (-0.5, 0.5)},
+    outputs={"i_alpha": (-5, 5), "i_beta": (-5, 5)},
+    inputs={"u_alpha": (-200, 200), "u_beta": (-200, 200)},
+    parameters={"R": 9.3, "L": 38e-3, "m": 0.212},
+)
+"""
+
+
+@pytest.mark.slow
+def test_a_model_that_is_no_plant_is_fitted_by_its_relation(tmp_path):
+    """The recorded motor from ten lines: its speed is in no equation."""
+    (tmp_path / "plant.py").write_text(PMSM)
+    file = tmp_path / "pmsm.toml"
+    file.write_text(MACHINE.replace("motor", "pmsm") + "[observer]\ncutoff = 150.0\n")
+    machine = read_machine(file)
+    log = read_log("aslo_jax/data/pmsm_log.csv", machine.signals)
+    found = calibrate_machine(machine, log)
+    truth = {"R": 8.875, "L": 40.03e-3, "m": 0.2086}
+    for name, value in truth.items():
+        assert found.after[name] == pytest.approx(value, rel=1e-4)
