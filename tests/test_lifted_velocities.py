@@ -1,5 +1,6 @@
 """The Kalman filters of all velocities against a plain NumPy loop and closed forms."""
 
+import dataclasses
 import re
 
 import equinox as eqx
@@ -108,6 +109,7 @@ KNOWN = aslo.LiftedVelocities(CART, SY, SU, SF, prior=4.0)
 UNKNOWN = aslo.AdaptiveVelocities(
     CART, SY, SU, ("mass", "push"), (0.1, [0.2, 0.3]), (0.01, 0.02), SF, prior=4.0
 )
+GIVEN = [MASS, 0, 0], [0.1, 0.2, 0.3]  # its parameters, and their deviations
 
 
 @pytest.fixture(scope="module")
@@ -134,10 +136,21 @@ def test_it_equals_a_plain_kalman_filter(known):
     assert np.abs(x[100:, 2:] - velocity[100:]).max() < 0.05
 
 
+def test_parameters_that_do_not_drift_keep_their_factors():
+    t, u, y, _ = FORCED
+    still = dataclasses.replace(UNKNOWN, drift=None)
+    found = aslo.replay(still, t[:200], u[:200], y[:200])
+    x, P, _ = plain(u[:200], y[:200], H, 4.0, ("mass", "push"), *GIVEN)
+    np.testing.assert_allclose(found.parameters, x[:, 4:], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        found.parameter_covariance, P[:, 4:, 4:], rtol=1e-6, atol=1e-12
+    )
+
+
 def test_with_unknown_parameters_it_equals_a_plain_kalman_filter(unknown):
     _, u, y, velocity = FORCED
-    nominal, first, drift = [MASS, 0, 0], [0.1, 0.2, 0.3], [0.01, 0.02, 0.02]
-    x, P, _ = plain(u, y, H, 4.0, ("mass", "push"), nominal, first, drift)
+    drift = [0.01, 0.02, 0.02]
+    x, P, _ = plain(u, y, H, 4.0, ("mass", "push"), *GIVEN, drift)
     found = unknown[0]
     np.testing.assert_allclose(found.value, x[:, 2:4], rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.parameters, x[:, 4:], rtol=0, atol=1e-9)
@@ -151,7 +164,13 @@ def test_with_unknown_parameters_it_equals_a_plain_kalman_filter(unknown):
     assert np.abs(found.value - velocity)[100:].max() < 0.05
 
 
-@pytest.mark.parametrize("observer", [KNOWN, UNKNOWN], ids=["lifted", "adaptive"])
+BOTH = (
+    pytest.param(KNOWN, id="lifted"),
+    pytest.param(UNKNOWN, id="adaptive", marks=pytest.mark.slow),
+)
+
+
+@pytest.mark.parametrize("observer", BOTH)
 def test_steps_and_the_fused_engine_give_the_same(observer, known, unknown):
     (t, u, y, _), (whole, _) = (LOG, known) if observer is KNOWN else (FORCED, unknown)
     fused = aslo.replay(observer, t, u, y, engine="fused")

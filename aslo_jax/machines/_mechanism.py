@@ -131,8 +131,8 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
         "| change of q - integral of qdot | / integral of |qdot|, in 100 rows"
     )
     refused: ClassVar[Mapping[str, str]] = {
-        "kind": "its velocities come one after the other, from relations of their own, and "
-        "no Kalman filter of one relation gives them; remove it",
+        "kind": "its velocities come one after the other, from relations of their own; "
+        "remove it, or use `LiftedVelocities` in Python",
         "pll_bandwidth": "its velocities come from its equations, not from a loop that "
         "follows an angle; remove it",
     }

@@ -53,9 +53,9 @@ class AdaptiveVelocities(AbstractObserver[AdaptiveEstimate]):
       shape `()` or `(n,)`, `input_deviation` (N, N m), shape `()` or `(m,)`, and `initial`
       (m/s, rad/s), shape `(n,)`;
     - `parameters`: the names of the leaves of the system that are not known, numbers or
-      arrays, such as `("m1", "damping")`, fields joined by dots. `"push"` is a constant force on every coordinate
-      (N, N m), shape `(n,)`, which the system does not have: a load, or an offset of the
-      input;
+      arrays, such as `("m1", "damping")`, fields joined by dots. `"push"` is a constant
+      force on every coordinate (N, N m), shape `(n,)`, which the system does not have: a
+      load, or an offset of the input;
     - `deviations`: for each of them its standard deviation before the log, in its own unit,
       a number or one for each of its entries;
     - `drift`: for each of them its random walk: the deviation after a second (its unit over

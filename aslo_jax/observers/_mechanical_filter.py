@@ -58,13 +58,9 @@ class MechanicalKalman(AbstractLaw):
         ahead = runge_kutta(rate, 0.0, about, h)
         middle = about + 0.5 * h * rate(0.0, about)
         F, noise = over(self.motion.slopes(middle, parameters, u), h)
-        ahead = ahead + F[: 2 * n, n : 2 * n] @ (x[n:] - velocity)
+        ahead = ahead + F[:, n : 2 * n] @ (x[n:] - velocity)
         mean = jnp.concatenate([ahead, parameters])
-        W, weights = [F @ U, noise], [d, self.variances(u)]
-        if self.deviations.drift is not None:
-            W.append(jnp.eye(d.shape[0], dtype=dtype)[:, 2 * n :])
-            weights.append(h * self.deviations.drift**2)
-        U, d = propagated(jnp.concatenate(W, axis=1), jnp.concatenate(weights))
+        U, d = self._propagated(U, d, F, noise, self.variances(u), h)
         misfit = X.misfit
         for j in range(n):
             error, variance = y1[j] - mean[j], self.deviations.output[j] ** 2
@@ -84,6 +80,30 @@ class MechanicalKalman(AbstractLaw):
         force = self.deviations.force
         return found if force is None else jnp.concatenate([found, force**2])
 
+    def _propagated(
+        self,
+        U: Float[Array, "N N"],
+        d: Float[Array, " N"],
+        F: Float[Array, "d N"],
+        noise: Float[Array, "d w"],
+        variances: Float[Array, " w"],
+        h: Float[Array, ""],
+    ) -> tuple[Float[Array, "N N"], Float[Array, " N"]]:
+        """The factors at the end of an interval."""
+        m, drift = F.shape[0], self.deviations.drift
+        if drift is None:
+            # Parameters that do not move keep their own factors.
+            W = jnp.concatenate([F[:, :m] @ U[:m, :m], noise], axis=1)
+            moved, pivots = propagated(W, jnp.concatenate([d[:m], variances]))
+            above = jnp.concatenate([moved, F @ U[:, m:]], axis=1)
+            return jnp.concatenate([above, U[m:]]), jnp.concatenate([pivots, d[m:]])
+        (k,), (_, w) = drift.shape, noise.shape
+        still = jnp.zeros((m, k), U.dtype), jnp.zeros((k, w), U.dtype)
+        above = jnp.concatenate([F @ U, noise, still[0]], axis=1)
+        below = jnp.concatenate([U[m:], still[1], jnp.eye(k, dtype=U.dtype)], axis=1)
+        weights = jnp.concatenate([d, variances, h * drift**2])
+        return propagated(jnp.concatenate([above, below]), weights)
+
     def _about(
         self,
         mean: Float[Array, " n"],
@@ -101,19 +121,16 @@ class MechanicalKalman(AbstractLaw):
 
 def over(
     slopes: Slopes, h: Float[Array, ""]
-) -> tuple[Float[Array, "N N"], Float[Array, "N w"]]:
-    """What an interval of `h` seconds makes of positions, velocities and parameters, and
-    of noise that is held over it, to the second order in h: `1 + h A + h^2 A^2/2`, A at
-    its middle."""
-    n, k = slopes.parameters.shape
-    one, half = jnp.eye(n, dtype=slopes.velocity.dtype), 0.5 * h * h
+) -> tuple[Float[Array, "d N"], Float[Array, "d w"]]:
+    """What positions and velocities after an interval of `h` seconds are, by what they were
+    and the parameters, and by noise that is held over it, to the second order in h: `1 + h
+    A + h^2 A^2/2`, A at its middle."""
+    one = jnp.eye(slopes.position.shape[0], dtype=slopes.position.dtype)
+    half = 0.5 * h * h
     C = h * (one + 0.5 * h * slopes.velocity)
     by_q = one + half * slopes.position, C @ slopes.position
     by_v = C, one + C @ slopes.velocity + half * slopes.position
     by_parameters = half * slopes.parameters, C @ slopes.parameters
-    moved = [jnp.concatenate(each) for each in (by_q, by_v, by_parameters)]
-    still = jnp.eye(2 * n + k, dtype=one.dtype)[2 * n :]
+    F = [jnp.concatenate(each) for each in (by_q, by_v, by_parameters)]
     noise = jnp.concatenate([half * slopes.noise, C @ slopes.noise])
-    none = jnp.zeros((k, noise.shape[1]), one.dtype)
-    F = jnp.concatenate([jnp.concatenate(moved, axis=1), still])
-    return F, jnp.concatenate([noise, none])
+    return jnp.concatenate(F, axis=1), noise

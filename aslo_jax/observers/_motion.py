@@ -33,8 +33,9 @@ class Slopes(NamedTuple):
 
 class Motion(Module):
     """The motion of a `system` of `n` coordinates q. `parameters` are the names of those of
-    its leaves that are not known, fields joined by dots, or `"push"`, a constant force on every coordinate (N or
-    N m) that is not in u; `forces` says whether there is noise of that kind."""
+    its leaves that are not known, fields joined by dots, or `"push"`, a constant force on
+    every coordinate (N or N m) that is not in u; `forces` says whether there is noise of
+    that kind."""
 
     system: AbstractMechanicalSystem
     n: int = eqx.field(static=True)
