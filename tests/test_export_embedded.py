@@ -114,7 +114,7 @@ def test_the_page_lists_the_rules_that_are_checked():
     section = text.partition("## MISRA C:2012")[2].partition("\n## ")[0]
     checked, deviations = re.split(r"\n\| rule ", section)
     head, _, listed = checked.partition(f"Checked are the {len(planted())} rules")
-    assert f"of its rules {len(planted())}, each" in head
+    assert f"{len(planted())} of its rules, each" in head
     assert set(re.findall(r"\b\d+\.\d+\b", listed)) == set(planted())
     assert set(re.findall(r"^\| (\d+\.\d+) \|", deviations, re.MULTILINE)) == set(
         DEVIATIONS
