@@ -14,7 +14,7 @@ PLANTED = Path(__file__).parent / "data" / "misra_planted.txt"
 def planted() -> dict[str, list[str]]:
     """The files with a violation by the rule, whose names no other has."""
     found = {}
-    for part in PLANTED.read_text("utf-8").split("== ")[1:]:
+    for part in re.split("^== ", PLANTED.read_text("utf-8"), flags=re.MULTILINE)[1:]:
         rule, _, text = part.partition("\n")
         own = rule.replace(".", "_")
         text = re.sub(r"\b(f|same|planted)\b", rf"\1_{own}", text)

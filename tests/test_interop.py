@@ -1,5 +1,8 @@
 """Round trips with python-control and SciPy."""
 
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -182,6 +185,13 @@ def test_what_is_refused():
     ):
         with pytest.raises(ValueError, match=said):
             interop.to_control(module, **given)
+
+
+def test_no_other_tool_is_imported_before_it_is_used():
+    tools = ("control", "gym_electric_motor", "motulator", "rosbags", "scipy.signal")
+    code = f"import sys, aslo_jax.interop; print(set({tools!r}) & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("set()\n", "")
 
 
 def test_several_estimates_at_once_are_refused():

@@ -26,7 +26,7 @@ def from_bag(
     - `held`: topics of commands, each of which holds until the next one. Their columns are
       means over the interval from a row to the next, as [`replay`][] takes u;
     - `interpolated`: topics of what changes steadily, such as truths, between whose
-      messages straight lines are drawn.
+      messages straight lines are drawn; not an angle in one turn, where it jumps.
 
     Instants are those of the headers, where every message of a topic has one, and else when
     it was received: a delay between two computers is in them. Rows before the first message
