@@ -101,12 +101,13 @@ function notice(text) {
 
 // Sources, observers and knobs of the state as it is now.
 async function load() {
+  const mine = ++epoch;
   try {
     const found = await get("about", written(state));
+    if (mine !== epoch) return; // another choice was made meanwhile
     about = found;
   } catch (error) {
-    problem(error);
-    if (!about) $("source").disabled = false;
+    if (mine === epoch) problem(error);
     return;
   }
   problem("");
@@ -135,7 +136,6 @@ async function load() {
   );
   exportButtons($("export-buttons"), about.exports, { query: () => written(state), sheet, problem, title: () => about.title });
   run = band = null;
-  epoch += 1;
   request();
 }
 
