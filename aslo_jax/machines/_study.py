@@ -51,7 +51,7 @@ class Range:
 
 @dataclasses.dataclass(frozen=True)
 class Errors:
-    """What may be added to a signal, at most, in its `unit`: `noise`, white, by its standard
+    """What may be added to a signal, at most, in its `unit`: white `noise` of this standard
     deviation, and an `offset`."""
 
     unit: str

@@ -17,11 +17,14 @@ const SETTLED = 700; // ms without a change, after which it is said aloud
 let state = read(location.search);
 let about = null;
 let number = 0; // of the newest request
+let epoch = 0; // of observers and knobs: what was asked before another is not drawn
 let run = null, band = null;
 let looks = new Map(); // colour and dashes of every observer
 
 async function get(what, query, more = "") {
-  const answer = await fetch(`/api/${what}?${query}${more}`, { cache: "no-store" });
+  const answer = await fetch(`/api/${what}?${query}${more}`, { cache: "no-store" }).catch(() => {
+    throw new Error("The explorer has ended: start it again in the terminal.");
+  });
   const content = await answer.json();
   if (answer.status === 409) return null;
   if (!answer.ok) throw new Error(content.error);
@@ -35,10 +38,10 @@ function pump(what, arrived) {
     if (busy) return;
     busy = true;
     while (done < number) {
-      const n = number;
+      const n = number, then = epoch;
       try {
         const found = await get(what, written(state), `&n=${n}&client=${client}`);
-        if (found && found.n === n) arrived(found);
+        if (found && found.n === n && then === epoch) arrived(found);
         if (what === "run") problem("");
       } catch (error) {
         if (n === number) problem(error);
@@ -85,7 +88,7 @@ function keepAddress() {
 }
 
 function problem(error) {
-  const text = error ? (error instanceof TypeError ? "The explorer has ended: start it again in the terminal." : error.message) : "";
+  const text = error ? error.message : "";
   $("problem").textContent = text;
   $("problem").hidden = !text;
   if (text) $("status").textContent = "What is drawn belongs to the settings before.";
@@ -98,12 +101,13 @@ function notice(text) {
 
 // Sources, observers and knobs of the state as it is now.
 async function load() {
+  const mine = ++epoch;
   try {
     const found = await get("about", written(state));
+    if (mine !== epoch) return; // another choice was made meanwhile
     about = found;
   } catch (error) {
-    problem(error);
-    if (!about) $("source").disabled = false;
+    if (mine === epoch) problem(error);
     return;
   }
   problem("");
