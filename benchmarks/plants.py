@@ -1,11 +1,11 @@
 """Plants that are models: their derived observers beside copies of the plant, on the noise
 of the ready-made studies. `plants.json` and `plants.md` in the folder of the results.
 
-Every observer that has gains has had the same search on training seeds
-(`python -m benchmarks.gains NAME`, whose gains stand in the studies), and is judged on fresh
-ones; the Kalman filter of the relation has none, and is told of the noise. The bound is that of Cramér
-and Rao, for observers that know as much. `--wrong`: besides with every parameter 2 % off,
-for which all are tuned anew.
+Every observer that has gains has had the same search on training seeds (its results, of
+`python -m benchmarks.gains NAME`, stand in the studies), and is judged on fresh ones; the
+Kalman filter of the relation has none, and is told of the noise. The bound is that of
+Cramér and Rao, for observers that know as much. `--wrong`: besides with every parameter 2 %
+off, for which all are tuned anew.
 """
 
 import copy

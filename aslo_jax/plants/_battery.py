@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._typing import RealArray
-from ._modelled import AbstractVectorPlant, Span, parameter
+from ._modelled import AbstractVectorPlant, Scalar, Span, parameter
 
 __all__ = ["Battery"]
 
@@ -30,15 +30,15 @@ class Battery(AbstractVectorPlant):
     Source: Chen, Rincon-Mora 2006, doi:10.1109/TEC.2006.874229.
     """
 
-    capacity: Float[Array, ""] = parameter("of the cell", "C", 3060.0)
-    time_constant: Float[Array, ""] = parameter("of the RC pair", "s", 32.85)
-    capacitance: Float[Array, ""] = parameter("of the RC pair", "F", 703.6)
-    resistance: Float[Array, ""] = parameter("in series", "ohm", 0.07446)
-    base: Float[Array, ""] = parameter("open-circuit voltage, its line at 0", "V", 3.6406)
-    slope: Float[Array, ""] = parameter("open-circuit voltage, of its line", "V", 0.3859)
-    depth: Float[Array, ""] = parameter("open-circuit voltage, its drop at 0", "V", 1.031)
-    knee: Float[Array, ""] = parameter("charge over which that fades", "1", 1.0 / 35.0)
-    current_lag: Float[Array, ""] = parameter("of the current", "s", 0.5)
+    capacity: Scalar = parameter("of the cell", "C", 3060.0)
+    time_constant: Scalar = parameter("of the RC pair", "s", 32.85)
+    capacitance: Scalar = parameter("of the RC pair", "F", 703.6)
+    resistance: Scalar = parameter("in series", "ohm", 0.07446)
+    base: Scalar = parameter("open-circuit voltage, its line at 0", "V", 3.6406)
+    slope: Scalar = parameter("open-circuit voltage, of its line", "V", 0.3859)
+    depth: Scalar = parameter("open-circuit voltage, its drop at 0", "V", 1.031)
+    knee: Scalar = parameter("charge over which that fades", "1", 1.0 / 35.0)
+    current_lag: Scalar = parameter("of the current", "s", 0.5)
 
     states: ClassVar = {"charge": Span(0.02, 1.0, "1"), "rc_voltage": Span(-0.1, 0.1, "V")}
     outputs: ClassVar = {"voltage": Span(2.8, 4.2, "V"), "current": Span(-1.7, 1.7, "A")}

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._typing import RealArray
-from ._modelled import AbstractVectorPlant, Span, parameter
+from ._modelled import AbstractVectorPlant, Scalar, Span, parameter
 
 __all__ = ["CartPole"]
 
@@ -28,12 +28,12 @@ class CartPole(AbstractVectorPlant):
     Source: Barto, Sutton, Anderson 1983, doi:10.1109/TSMC.1983.6313077.
     """
 
-    cart_mass: Float[Array, ""] = parameter("of the cart", "kg", 1.0)
-    pole_mass: Float[Array, ""] = parameter("of the pole", "kg", 0.1)
-    half_length: Float[Array, ""] = parameter("of the pole", "m", 0.5)
-    gravity: Float[Array, ""] = parameter("gravity", "m/s^2", 9.81)
-    cart_friction: Float[Array, ""] = parameter("of the cart", "N s/m", 0.1, sign="0")
-    pole_friction: Float[Array, ""] = parameter("of the pole", "N m s/rad", 2e-3, sign="0")
+    cart_mass: Scalar = parameter("of the cart", "kg", 1.0)
+    pole_mass: Scalar = parameter("of the pole", "kg", 0.1)
+    half_length: Scalar = parameter("of the pole", "m", 0.5)
+    gravity: Scalar = parameter("gravity", "m/s^2", 9.81)
+    cart_friction: Scalar = parameter("of the cart", "N s/m", 0.1, sign="0")
+    pole_friction: Scalar = parameter("of the pole", "N m s/rad", 2e-3, sign="0")
 
     states: ClassVar = {
         "momentum": Span(-2.0, 2.0, "kg m/s"),

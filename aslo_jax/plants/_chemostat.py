@@ -5,7 +5,7 @@ from typing import ClassVar
 from jaxtyping import Array, Float
 
 from .._typing import RealArray
-from ._modelled import AbstractVectorPlant, Span, parameter
+from ._modelled import AbstractVectorPlant, Scalar, Span, parameter
 
 __all__ = ["Chemostat"]
 
@@ -25,10 +25,10 @@ class Chemostat(AbstractVectorPlant):
     ch. 1; Monod 1949, doi:10.1146/annurev.mi.03.100149.002103.
     """
 
-    growth: Float[Array, ""] = parameter("the largest growth rate", "1/s", 0.4 / 3600.0)
-    saturation: Float[Array, ""] = parameter("substrate at half of it", "kg/m^3", 0.5)
-    consumption: Float[Array, ""] = parameter("substrate for a unit of biomass", "1", 2.0)
-    feed: Float[Array, ""] = parameter("substrate in the inflow", "kg/m^3", 10.0)
+    growth: Scalar = parameter("the largest growth rate", "1/s", 0.4 / 3600.0)
+    saturation: Scalar = parameter("substrate at half of it", "kg/m^3", 0.5)
+    consumption: Scalar = parameter("substrate for a unit of biomass", "1", 2.0)
+    feed: Scalar = parameter("substrate in the inflow", "kg/m^3", 10.0)
 
     states: ClassVar = {"biomass": Span(0.5, 6.0, "kg/m^3")}
     outputs: ClassVar = {"substrate": Span(0.1, 8.0, "kg/m^3")}

@@ -2,10 +2,8 @@
 
 from typing import ClassVar
 
-from jaxtyping import Array, Float
-
 from .._typing import RealArray
-from ._modelled import AbstractVectorPlant, Span, parameter
+from ._modelled import AbstractVectorPlant, Scalar, Span, parameter
 
 __all__ = ["Boost", "Buck", "Cuk"]
 
@@ -27,11 +25,11 @@ class Buck(AbstractVectorPlant):
     doi:10.1007/978-3-030-43881-4.
     """
 
-    inductance: Float[Array, ""] = parameter("of the inductor", "H", 100e-6)
-    resistance: Float[Array, ""] = parameter("of the inductor", "ohm", 0.05)
-    capacitance: Float[Array, ""] = parameter("of the output", "F", 220e-6)
-    source: Float[Array, ""] = parameter("voltage of the source", "V", 24.0)
-    load: Float[Array, ""] = parameter("conductance of the load", "S", 0.2, sign="0")
+    inductance: Scalar = parameter("of the inductor", "H", 100e-6)
+    resistance: Scalar = parameter("of the inductor", "ohm", 0.05)
+    capacitance: Scalar = parameter("of the output", "F", 220e-6)
+    source: Scalar = parameter("voltage of the source", "V", 24.0)
+    load: Scalar = parameter("conductance of the load", "S", 0.2, sign="0")
 
     states: ClassVar = {"current": Span(0.0, 5.0, "A")}
     outputs: ClassVar = {"voltage": Span(5.0, 20.0, "V")}
@@ -63,11 +61,11 @@ class Boost(AbstractVectorPlant):
     doi:10.1007/978-3-030-43881-4.
     """
 
-    inductance: Float[Array, ""] = parameter("of the inductor", "H", 100e-6)
-    resistance: Float[Array, ""] = parameter("of the inductor", "ohm", 0.05)
-    capacitance: Float[Array, ""] = parameter("of the output", "F", 330e-6)
-    source: Float[Array, ""] = parameter("voltage of the source", "V", 12.0)
-    load: Float[Array, ""] = parameter("conductance of the load", "S", 0.05, sign="0")
+    inductance: Scalar = parameter("of the inductor", "H", 100e-6)
+    resistance: Scalar = parameter("of the inductor", "ohm", 0.05)
+    capacitance: Scalar = parameter("of the output", "F", 330e-6)
+    source: Scalar = parameter("voltage of the source", "V", 12.0)
+    load: Scalar = parameter("conductance of the load", "S", 0.05, sign="0")
 
     states: ClassVar = {"current": Span(0.0, 6.0, "A")}
     outputs: ClassVar = {"voltage": Span(12.0, 36.0, "V")}
@@ -101,14 +99,14 @@ class Cuk(AbstractVectorPlant):
     switching-converter power stages", doi:10.1109/PESC.1976.7072895.
     """
 
-    input_inductance: Float[Array, ""] = parameter("L1, at the source", "H", 300e-6)
-    output_inductance: Float[Array, ""] = parameter("L2, at the load", "H", 200e-6)
-    input_resistance: Float[Array, ""] = parameter("of the inductor L1", "ohm", 0.08)
-    output_resistance: Float[Array, ""] = parameter("of the inductor L2", "ohm", 0.06)
-    transfer_capacitance: Float[Array, ""] = parameter("C1, in the middle", "F", 47e-6)
-    output_capacitance: Float[Array, ""] = parameter("C2, at the load", "F", 220e-6)
-    source: Float[Array, ""] = parameter("voltage of the source", "V", 12.0)
-    load: Float[Array, ""] = parameter("conductance of the load", "S", 0.1, sign="0")
+    input_inductance: Scalar = parameter("L1, at the source", "H", 300e-6)
+    output_inductance: Scalar = parameter("L2, at the load", "H", 200e-6)
+    input_resistance: Scalar = parameter("of the inductor L1", "ohm", 0.08)
+    output_resistance: Scalar = parameter("of the inductor L2", "ohm", 0.06)
+    transfer_capacitance: Scalar = parameter("C1, in the middle", "F", 47e-6)
+    output_capacitance: Scalar = parameter("C2, at the load", "F", 220e-6)
+    source: Scalar = parameter("voltage of the source", "V", 12.0)
+    load: Scalar = parameter("conductance of the load", "S", 0.1, sign="0")
 
     states: ClassVar = {
         "input_current": Span(0.0, 5.0, "A"),

@@ -3,10 +3,9 @@
 from typing import ClassVar
 
 import equinox as eqx
-from jaxtyping import Array, Float
 
 from .._typing import RealArray
-from ._modelled import AbstractVectorPlant, Span, parameter
+from ._modelled import AbstractVectorPlant, Scalar, Span, parameter
 
 __all__ = ["DCMotor", "DCMotorWithTachometer"]
 
@@ -18,12 +17,12 @@ VOLTAGE = {"voltage": Span(-24.0, 24.0, "V")}
 class AbstractDCMotor(AbstractVectorPlant):
     """`L i' = u - R i - K w`, `J w' = K i - b w - load`."""
 
-    resistance: eqx.AbstractVar[Float[Array, ""]]
-    inductance: eqx.AbstractVar[Float[Array, ""]]
-    constant: eqx.AbstractVar[Float[Array, ""]]
-    inertia: eqx.AbstractVar[Float[Array, ""]]
-    friction: eqx.AbstractVar[Float[Array, ""]]
-    load: eqx.AbstractVar[Float[Array, ""]]
+    resistance: eqx.AbstractVar[Scalar]
+    inductance: eqx.AbstractVar[Scalar]
+    constant: eqx.AbstractVar[Scalar]
+    inertia: eqx.AbstractVar[Scalar]
+    friction: eqx.AbstractVar[Scalar]
+    load: eqx.AbstractVar[Scalar]
 
     inputs: ClassVar = VOLTAGE
     unknown: ClassVar = ("load",)
@@ -50,12 +49,12 @@ class DCMotor(AbstractDCMotor):
     machine.
     """
 
-    resistance: Float[Array, ""] = parameter("of the armature", "ohm", 0.6)
-    inductance: Float[Array, ""] = parameter("of the armature", "H", 0.6e-3)
-    constant: Float[Array, ""] = parameter("of torque and back-EMF", "N m/A", 0.05)
-    inertia: Float[Array, ""] = parameter("of rotor and load", "kg m^2", 1e-4)
-    friction: Float[Array, ""] = parameter("viscous", "N m s/rad", 1e-5, sign="0")
-    load: Float[Array, ""] = parameter("torque of the load", "N m", 0.1, sign="")
+    resistance: Scalar = parameter("of the armature", "ohm", 0.6)
+    inductance: Scalar = parameter("of the armature", "H", 0.6e-3)
+    constant: Scalar = parameter("of torque and back-EMF", "N m/A", 0.05)
+    inertia: Scalar = parameter("of rotor and load", "kg m^2", 1e-4)
+    friction: Scalar = parameter("viscous", "N m s/rad", 1e-5, sign="0")
+    load: Scalar = parameter("torque of the load", "N m", 0.1, sign="")
 
     states: ClassVar = {"speed": SPEED}
     outputs: ClassVar = {"current": CURRENT}
@@ -84,12 +83,12 @@ class DCMotorWithTachometer(AbstractDCMotor):
     machine.
     """
 
-    resistance: Float[Array, ""] = parameter("of the armature", "ohm", 0.6)
-    inductance: Float[Array, ""] = parameter("of the armature", "H", 0.6e-3)
-    constant: Float[Array, ""] = parameter("of torque and back-EMF", "N m/A", 0.05)
-    inertia: Float[Array, ""] = parameter("of rotor and load", "kg m^2", 1e-4)
-    friction: Float[Array, ""] = parameter("viscous", "N m s/rad", 1e-5, sign="0")
-    load: Float[Array, ""] = parameter("torque of the load", "N m", 0.1, sign="")
+    resistance: Scalar = parameter("of the armature", "ohm", 0.6)
+    inductance: Scalar = parameter("of the armature", "H", 0.6e-3)
+    constant: Scalar = parameter("of torque and back-EMF", "N m/A", 0.05)
+    inertia: Scalar = parameter("of rotor and load", "kg m^2", 1e-4)
+    friction: Scalar = parameter("viscous", "N m s/rad", 1e-5, sign="0")
+    load: Scalar = parameter("torque of the load", "N m", 0.1, sign="")
 
     states: ClassVar = {"current": CURRENT}
     outputs: ClassVar = {"speed": SPEED}

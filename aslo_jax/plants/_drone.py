@@ -2,10 +2,8 @@
 
 from typing import ClassVar
 
-from jaxtyping import Array, Float
-
 from .._typing import RealArray
-from ._modelled import AbstractVectorPlant, Span, parameter
+from ._modelled import AbstractVectorPlant, Scalar, Span, parameter
 
 __all__ = ["Drone"]
 
@@ -24,10 +22,10 @@ class Drone(AbstractVectorPlant):
     is linear in the speed.
     """
 
-    mass: Float[Array, ""] = parameter("of the drone", "kg", 1.0)
-    drag: Float[Array, ""] = parameter("of the rotors", "N s/m", 0.5)
-    gravity: Float[Array, ""] = parameter("gravity", "m/s^2", 9.81)
-    wind: Float[Array, ""] = parameter("the updraught", "m/s", 1.0, sign="")
+    mass: Scalar = parameter("of the drone", "kg", 1.0)
+    drag: Scalar = parameter("of the rotors", "N s/m", 0.5)
+    gravity: Scalar = parameter("gravity", "m/s^2", 9.81)
+    wind: Scalar = parameter("the updraught", "m/s", 1.0, sign="")
 
     states: ClassVar = {"speed": Span(-5.0, 5.0, "m/s")}
     outputs: ClassVar = {"height": Span(0.0, 30.0, "m")}

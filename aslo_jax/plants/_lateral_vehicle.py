@@ -3,10 +3,9 @@
 from typing import ClassVar
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from .._typing import RealArray
-from ._modelled import AbstractVectorPlant, Span, parameter
+from ._modelled import AbstractVectorPlant, Scalar, Span, parameter
 
 __all__ = ["LateralVehicle"]
 
@@ -30,14 +29,14 @@ class LateralVehicle(AbstractVectorPlant):
     doi:10.1007/978-1-4614-1433-9.
     """
 
-    mass: Float[Array, ""] = parameter("of the car", "kg", 1573.0)
-    inertia: Float[Array, ""] = parameter("of yaw", "kg m^2", 2873.0)
-    front: Float[Array, ""] = parameter("front axle from the centre of mass", "m", 1.1)
-    rear: Float[Array, ""] = parameter("rear axle from the centre of mass", "m", 1.58)
-    front_stiffness: Float[Array, ""] = parameter("of the front axle", "N/rad", 160e3)
-    rear_stiffness: Float[Array, ""] = parameter("of the rear axle", "N/rad", 160e3)
-    bias: Float[Array, ""] = parameter("of the accelerometer", "m/s^2", 0.3, sign="")
-    steering_lag: Float[Array, ""] = parameter("of the steering", "s", 0.1)
+    mass: Scalar = parameter("of the car", "kg", 1573.0)
+    inertia: Scalar = parameter("of yaw", "kg m^2", 2873.0)
+    front: Scalar = parameter("front axle from the centre of mass", "m", 1.1)
+    rear: Scalar = parameter("rear axle from the centre of mass", "m", 1.58)
+    front_stiffness: Scalar = parameter("of the front axle", "N/rad", 160e3)
+    rear_stiffness: Scalar = parameter("of the rear axle", "N/rad", 160e3)
+    bias: Scalar = parameter("of the accelerometer", "m/s^2", 0.3, sign="")
+    steering_lag: Scalar = parameter("of the steering", "s", 0.1)
 
     states: ClassVar = {"lateral_speed": Span(-2.0, 2.0, "m/s")}
     outputs: ClassVar = {

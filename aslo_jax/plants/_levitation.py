@@ -3,10 +3,9 @@
 from typing import ClassVar
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from .._typing import RealArray
-from ._modelled import AbstractVectorPlant, Span, parameter
+from ._modelled import AbstractVectorPlant, Scalar, Span, parameter
 
 __all__ = ["Levitation"]
 
@@ -27,10 +26,10 @@ class Levitation(AbstractVectorPlant):
     Euler-Lagrange Systems", 1998, ch. 8, doi:10.1007/978-1-4471-3603-3.
     """
 
-    resistance: Float[Array, ""] = parameter("of the coil", "ohm", 5.0)
-    force_constant: Float[Array, ""] = parameter("k = L q", "H m", 1.2e-4)
-    mass: Float[Array, ""] = parameter("of the body", "kg", 0.06)
-    gravity: Float[Array, ""] = parameter("gravity", "m/s^2", 9.81)
+    resistance: Scalar = parameter("of the coil", "ohm", 5.0)
+    force_constant: Scalar = parameter("k = L q", "H m", 1.2e-4)
+    mass: Scalar = parameter("of the body", "kg", 0.06)
+    gravity: Scalar = parameter("gravity", "m/s^2", 9.81)
 
     states: ClassVar = {"flux": Span(0.0, 0.03, "Wb"), "speed": Span(-0.3, 0.3, "m/s")}
     outputs: ClassVar = {

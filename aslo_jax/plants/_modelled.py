@@ -15,6 +15,9 @@ from ._base import AbstractPlant
 
 __all__ = ["AbstractModelledPlant", "AbstractVectorPlant", "Span", "parameter"]
 
+# What a parameter is made of; it is kept as an array.
+Scalar = Float[Array, ""] | float
+
 BALANCING = 8  # Gauss-Newton steps to the input that holds a state
 
 

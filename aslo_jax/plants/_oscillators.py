@@ -2,10 +2,8 @@
 
 from typing import ClassVar
 
-from jaxtyping import Array, Float
-
 from .._typing import RealArray
-from ._modelled import AbstractVectorPlant, Span, parameter
+from ._modelled import AbstractVectorPlant, Scalar, Span, parameter
 
 __all__ = ["Lorenz", "VanDerPol"]
 
@@ -19,7 +17,7 @@ class VanDerPol(AbstractVectorPlant):
     Source: van der Pol 1926, doi:10.1080/14786442608564127.
     """
 
-    damping: Float[Array, ""] = parameter("negative at the middle", "1/s", 1.0)
+    damping: Scalar = parameter("negative at the middle", "1/s", 1.0)
 
     states: ClassVar = {"speed": Span(-3.0, 3.0, "1/s")}
     outputs: ClassVar = {"position": Span(-2.5, 2.5, "1")}
@@ -45,9 +43,9 @@ class Lorenz(AbstractVectorPlant):
     Source: Lorenz 1963, doi:10.1175/1520-0469(1963)020<0130:DNF>2.0.CO;2.
     """
 
-    sigma: Float[Array, ""] = parameter("Prandtl number", "1/s", 10.0)
-    rho: Float[Array, ""] = parameter("relative Rayleigh number", "1/s", 28.0)
-    beta: Float[Array, ""] = parameter("of the shape of the rolls", "1/s", 8.0 / 3.0)
+    sigma: Scalar = parameter("Prandtl number", "1/s", 10.0)
+    rho: Scalar = parameter("relative Rayleigh number", "1/s", 28.0)
+    beta: Scalar = parameter("of the shape of the rolls", "1/s", 8.0 / 3.0)
 
     states: ClassVar = {"x2": Span(-25.0, 25.0), "x3": Span(0.0, 50.0)}
     outputs: ClassVar = {"x1": Span(-20.0, 20.0)}

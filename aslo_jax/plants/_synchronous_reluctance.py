@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from .._checks import real
 from .._typing import RealArray
 from ._machine import AbstractMachine, Inductance, direction, no_load
-from ._modelled import AbstractModelledPlant, Span, parameter
+from ._modelled import AbstractModelledPlant, Scalar, Span, parameter
 
 __all__ = ["SynchronousReluctance"]
 
@@ -35,9 +35,9 @@ class SynchronousReluctance(AbstractMachine, AbstractModelledPlant):
     Source: Boldea, "Reluctance Synchronous Machines and Drives", 1996, ch. 3.
     """
 
-    resistance: Float[Array, ""] = parameter("of the stator", "ohm", 0.54)
-    direct_inductance: Float[Array, ""] = parameter("along the iron", "H", 41.5e-3)
-    quadrature_inductance: Float[Array, ""] = parameter("across the iron", "H", 6.2e-3)
+    resistance: Scalar = parameter("of the stator", "ohm", 0.54)
+    direct_inductance: Scalar = parameter("along the iron", "H", 41.5e-3)
+    quadrature_inductance: Scalar = parameter("across the iron", "H", 6.2e-3)
     pole_pairs: int = eqx.field(static=True, default=2)
     inertia: Float[Array, ""] = eqx.field(converter=real, default=0.015)
     friction: Float[Array, ""] = eqx.field(converter=real, default=0.0)
