@@ -9,6 +9,7 @@ import pytest
 
 pytest.importorskip("PIL", reason="of matplotlib")
 
+from aslo_jax import paper
 from website import _commands, _errata, _gallery, _notebooks
 
 ROOT = Path(__file__).parents[1]
@@ -68,13 +69,17 @@ def test_the_page_of_the_command_line_has_its_output():
 
 def test_errata_have_the_verdicts_that_the_experiments_are_held_to():
     text = _errata.PAGE.read_text("utf-8")
-    tests = (path.read_text("utf-8") for path in (ROOT / "tests").glob("test_paper_*.py"))
-    counts = re.findall(r'"(\d+ claims: \d+ confirmed, \d+ corrected)', "".join(tests))
-    assert len(counts) == 2
-    assert all(count in text for count in counts)
-    for line in text.splitlines():
-        count = re.match(r"(\d+) claims: (\d+) confirmed, (\d+) corrected, (\d+) not", line)
-        assert not count or int(count[1]) == sum(map(int, count.groups()[1:]))
+    tests = (ROOT / "tests" / "test_paper_section2.py").read_text("utf-8")
+    (held,) = re.findall(r"\d+ claims: \d+ confirmed, \d+ corrected, 0 not", tests)
+    pattern = r"^(\d+) claims: (\d+) confirmed, (\d+) corrected, 0 not reproduced"
+    counts = re.findall(pattern, text, re.MULTILINE)
+    assert len(counts) == len(paper.SECTIONS)
+    assert held in text
+    for claims, confirmed, corrected in counts:
+        assert int(claims) == int(confirmed) + int(corrected)
+    # A row for each that is corrected, beside two for the head of each table.
+    rows = [line for line in text.splitlines() if line.startswith("| ")]
+    assert len(rows) - 2 * len(counts) == sum(int(count[2]) for count in counts)
 
 
 def test_a_page_of_errata_from_a_table_of_claims(tmp_path):

