@@ -31,7 +31,7 @@ class ContinuousExperiment(Module, Generic[Est]):
     for [`run_batch`][] and studies: what is recorded, and what metrics are given, are its
     signals at every `interval` (s), which has no other part in the loop.
 
-    - `controller`, `observers`, `feedback`, `actuator`, `sensor`, `input_sensor`,
+    - `plant`, `controller`, `observers`, `feedback`, `actuator`, `sensor`, `input_sensor`,
       `initial`: as of [`simulate`][]; random disturbances are held over intervals of their
       own, and need no state that is updated at samples;
     - `rtol`, `atol`: the tolerance of a step's error, `atol + rtol |x|` in each state;

@@ -125,25 +125,18 @@ def test_lanes_do_not_depend_on_their_neighbours():
 # -- closed forms -------------------------------------------------------------------------
 
 
-def test_a_chain_with_lag_and_observers_in_closed_form():
-    tau, lam = 0.3, 3.0
-    solution = run(
-        {"ASLO": printed(lam)}, actuator=ParasiticLag(tau), rtol=1e-11, atol=1e-13
-    )
+def test_a_chain_with_lag_in_closed_form():
+    tau = 0.3
+    solution = run({"ASLO": printed()}, actuator=ParasiticLag(tau), rtol=1e-11, atol=1e-13)
     c = 1.0 / (1.0 + 4.0 * tau**2)
-    a = c * (np.cos(2 * TS) + 2 * tau * np.sin(2 * TS)) - c * np.exp(-TS / tau)
     speed = 0.1 + c * (0.5 * np.sin(2 * TS) - tau * (np.cos(2 * TS) - 1.0))
     speed = speed + c * tau * (np.exp(-TS / tau) - 1.0)
     np.testing.assert_allclose(solution.x[:, 1], speed, atol=1e-10)
-    slopes = np.gradient(solution.x[:, 1], TS)[1:-1]
-    np.testing.assert_allclose(slopes, a[1:-1], atol=0.02)
-    b = lam / (lam**2 + 4.0)
-    w = b * (lam * np.cos(2 * TS) + 2 * np.sin(2 * TS) - lam * np.exp(-lam * TS))
+    # Seen by the observer is the command, of which the plant has the lagging part.
     np.testing.assert_allclose(solution.u, np.cos(2 * TS), atol=1e-15)
-    assert solution.estimates["ASLO"].value.shape == (21, 1) and w.shape == (21,)
 
 
-@pytest.mark.parametrize("t0", [0.0, 0.35])
+@pytest.mark.parametrize("t0", [0.0, pytest.param(0.35, marks=pytest.mark.slow)])
 def test_held_noise_is_stepped_to(t0):
     """Against the exact recurrence of a filter whose input is piecewise constant."""
     ts = np.arange(round(t0 / 0.05), 41) * 0.05

@@ -72,6 +72,7 @@ def test_a_runner_tells_its_shapes_and_takes_chunks(batch):
         np.testing.assert_array_equal(ours, theirs)
 
 
+@pytest.mark.slow
 def test_noise_is_held_and_each_run_has_its_own():
     """The same numbers as `random.normal` gives for the instants."""
     keys = jax.vmap(aslo.random.fold, (None, 0))(aslo.random.key(5), jnp.arange(3))
@@ -87,6 +88,7 @@ def test_noise_is_held_and_each_run_has_its_own():
         np.testing.assert_allclose(row[:4], np.cos(2 * t[:4]) + held, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_run_that_needs_too_many_steps_has_no_metrics():
     make = lambda sample: experiment(sample, max_steps=3)
     with pytest.warns(UserWarning, match="Of 2 runs 2 took all of their `max_steps`"):

@@ -215,8 +215,8 @@ def warn(code: np.ndarray, stiff: np.ndarray) -> None:
     if stiff.any():
         notice(
             f"Of {code.size} runs {int(stiff.sum())} took steps as short as stability "
-            "wants them, not accuracy: the system is stiff. It may take far less time with an "
-            "implicit solver, `solver=diffrax.Kvaerno5()`."
+            "wants them, not accuracy: the system is stiff. It may take far less time with "
+            "an implicit solver, `solver=diffrax.Kvaerno5()`."
         )
 
 
