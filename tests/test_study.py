@@ -77,7 +77,9 @@ def test_scan_runs_in_blocks():
 
     def make(rate):
         e = studies.experiment()
-        observer = aslo.AlgebraicObserver(e.plant.relation(), aslo.LowPass(rate))
+        observer = aslo.AlgebraicObserver(
+            e.plant.relation(), aslo.LowPass(rate), start="paper"
+        )
         return aslo.Experiment(e.plant, e.controller, {"ASLO": observer}, 0.01)
 
     runner = aslo.Runner(
