@@ -26,9 +26,9 @@ COPIED = ("aslo_jax", "tests", "pyproject.toml", "README.md", "LICENSE")
 TESTS = {
     "_filters": "filters oracle sampled small realise step relations refused_values",
     "_realise": "oracle realise once step filters sampled hidden_errors missing",
-    "_relations": "oracle relations sampled once refused_values refusals limits gradients",
-    "_swapped": "oracle sampled relations limits paced_rates",
-    "_completions": "oracle guard sampled two_rates limits refused_values missing",
+    "_relations": "oracle relations rows sampled once refused_values refusals gradients",
+    "_swapped": "oracle sampled rows relations limits paced_rates",
+    "_completions": "oracle guard rows sampled two_rates refused_values errors missing",
     "_guard": "oracle guard refused_values sampled missing",
     "_replay": "sampled once step errors refusals hidden_errors missing",
 }

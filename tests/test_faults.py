@@ -3,6 +3,7 @@
 import csv
 import os
 import resource
+import stat
 import subprocess
 import sys
 from importlib.resources import files
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from aslo_jax._written import write_files
 from aslo_jax.cli import main
 from aslo_jax.cli._outputs import staged
 from aslo_jax.machines._speed import turning_acceleration, turning_speed
@@ -145,3 +147,19 @@ def test_rates_of_a_log_do_not_depend_on_its_scale(power):
     assert abs(turning_acceleration(t, v) - 50.0) < 0.1
     for rate in (turning_speed, turning_acceleration):
         assert rate(t, np.ldexp(v, power)) == rate(t, v)
+
+
+def test_several_files_appear_together_or_not_at_all(tmp_path):
+    (tmp_path / "a").write_bytes(b"before")
+    (tmp_path / "a").chmod(0o640)
+    (tmp_path / "c").mkdir()
+    with pytest.raises(OSError, match="cannot write"):
+        write_files(tmp_path / "c", {"a": b"written", "x/y": b"has no folder"})
+    assert write_files(tmp_path, {"a": b"after", "b": b"new"}) == [
+        tmp_path / "a",
+        tmp_path / "b",
+    ]
+    assert (tmp_path / "a").read_bytes() == b"after"
+    assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == 0o640
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["a", "b", "c"]
+    assert not list((tmp_path / "c").iterdir())

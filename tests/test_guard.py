@@ -182,3 +182,11 @@ def test_a_guard_does_not_stall_the_adaptive_solver():
         )
         counts.append(int(solution.stats["num_steps"]))
     assert counts[1] < 6 * counts[0]
+
+
+@pytest.mark.parametrize("threshold", [0.02, 0.1])
+def test_trust_rises_over_one_threshold(threshold):
+    guard = aslo.Guard(threshold)
+    shares = jnp.array([0.5, 1.0, 1.25, 1.5, 2.0, 3.0])
+    trust = [guard.trust(jnp.asarray(threshold * share)) for share in shares]
+    np.testing.assert_allclose(trust, [0.0, 0.0, 0.25, 0.5, 1.0, 1.0], atol=1e-12)

@@ -77,7 +77,8 @@ def test_scan_runs_in_blocks():
 
     def make(rate):
         e = studies.experiment()
-        observer = aslo.AlgebraicObserver(e.plant.relation(), aslo.LowPass(rate))
+        inner = aslo.AlgebraicObserver(e.plant.relation(), aslo.LowPass(rate))
+        observer = aslo.Asymptotic(inner, rate, initial=jnp.ones(1))  # which errs
         return aslo.Experiment(e.plant, e.controller, {"ASLO": observer}, 0.01)
 
     runner = aslo.Runner(
