@@ -1,5 +1,7 @@
 """Smoothing of a log some of whose relation's parameters are unknown."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,7 +10,10 @@ from ._factored import array, factored, stacked
 from ._replay import Checked, run_log
 from ._smoothed import smoothed
 from .observers import Adaptive, AdaptiveEstimate, Lifted
+from .observers._adaptive import uncertain
 from .observers._lifting import matrix
+
+TOLD = 1e3  # the tolerance of one that is only to be told from its rivals
 
 
 @eqx.filter_jit
@@ -20,7 +25,9 @@ def smoothed_adaptive(
     The filter of the parameters has them from the whole log at its end. With them known, x
     is smoothed; what is not known of them moves all of it: the covariance of x is what it
     is with the parameters known, and that of its mean."""
-    filtered, _ = run_log(observer, log, common, 1, None, "scan", coasts)
+    # Rows which are not known well enough on the way may be in the end.
+    told = dataclasses.replace(observer, tolerance=jnp.asarray(TOLD))
+    filtered, _ = run_log(told, log, common, 1, None, "scan", coasts)
     model = observer.law.model
     nominal = model.nominal().astype(filtered.value.dtype)
     # After a hole in which all was lost the filter begins again.
@@ -50,7 +57,9 @@ def smoothed_adaptive(
     return AdaptiveEstimate(
         estimate.value,
         estimate.certificate,
-        estimate.coasting | jnp.all(filtered.coasting),
+        estimate.coasting
+        | jnp.all(filtered.coasting)
+        | uncertain(estimate.certificate, observer.tolerance),
         covariance,
         parameters=everywhere(parameters),
         parameter_covariance=everywhere(P),

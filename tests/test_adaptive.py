@@ -125,6 +125,24 @@ def test_at_constant_speed_the_resistance_is_not_believed(constant):
     assert off[:, 1].max() < 0.06
 
 
+def braked(t):
+    """A motor that turns and stops, with 0.9 A."""
+    return 60.0 * np.clip((0.7 - t) / 0.2, 0.0, 1.0), 0.9 + 0.5 * np.exp(-t / 0.05)
+
+
+def test_it_is_flagged_once_it_is_not_known_to_the_tolerance():
+    """At rest what is not known grows."""
+    t, u, y, _ = record(braked, 1.3, 4)
+    found = aslo.replay(observer(bank=5, tolerance=0.02), t, u, y)
+    # The deviation of the flux of the magnet, over what it is.
+    claimed = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2))
+    size = np.linalg.norm(found.value - L * y, axis=1)
+    turning, rest = slice(1500, 2500), slice(3500, None)
+    assert not found.coasting[turning].any()
+    np.testing.assert_array_equal(found.coasting[rest], (claimed > 0.02 * size)[rest])
+    assert not found.coasting[rest][0] and found.coasting[-1]
+
+
 def plain(mean, P, smooth, ahead, angle, u, y0, y1, h):
     """One filter over one sample, with the geometry of a magnet by hand: the radius of
     `x - L y` is the magnet flux. The state is x and the relative errors of R and m; the
@@ -287,6 +305,7 @@ def test_what_it_finds_is_differentiable():
         ({"deviations": (0.1, -0.02)}, "`deviations` must be positive"),
         ({"bank": 2}, "`bank` must be an integer of at least 3"),
         ({"hold": 0.0}, "`hold` must be positive"),
+        ({"tolerance": 0.0}, "`tolerance` must be positive"),
     ],
 )
 def test_what_it_refuses(settings, message):

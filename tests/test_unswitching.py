@@ -40,37 +40,43 @@ def bits(tree):
 def advance(k, carry, inputs):
     """A product that each branch adds to something: alone, it would be a part of the sum
     and not be rounded. A filter that only one branch moves, a mask, a counter, an entry
-    that is the same for all lanes, entries that trade places in a branch."""
-    a, b, left, right, count, flag, clock = carry
+    that is the same for all lanes, entries that trade places in a branch, and three
+    more that stay as they are in the other, one of which is recorded as it was."""
+    a, b, left, right, count, flag, clock, kept, moved, still = carry
     x, until = inputs["lane"]
     product, log = a * b, inputs["log"]
 
-    def costly(a, left, right):
+    def costly(a, left, right, kept, moved, still):
         more = series(a, b + 0.1 * log)
         after = 0.7 * jnp.sin(product + x) + 0.2 * more
-        return after, right, left, more > 0.2, more * b
+        trade = moved * after, kept * after, 0.5 * still + kept
+        return after, right, left, more > 0.2, more * b, *trade
 
-    def plain(a, left, right):
-        return jnp.cos(x - product), left, 0.9 * right + 0.1 * a, flag, b - x
+    def plain(a, left, right, kept, moved, still):
+        right = 0.9 * right + 0.1 * a
+        return jnp.cos(x - product), left, right, flag, b - x, kept, moved, still
 
     starts = count < until
-    out = jax.lax.cond(starts, costly, plain, a, left, right)
-    after, left, right, flag, output = out
+    was = still
+    out = jax.lax.cond(starts, costly, plain, a, left, right, kept, moved, still)
+    after, left, right, flag, output, kept, moved, still = out
     b = 0.7 * b + 0.2 * jnp.sin(after + clock) * inputs["lane log"]
     both = jnp.where(flag, a, b) * clock
     carry = after, b, left, right + 0.0 * both, count + 1, flag, 0.9 * clock + 0.01
-    return carry, (output * x + both, after, jnp.where(starts, output, left), flag)
+    carry = *carry, kept, moved, still
+    return carry, (output * x + both, after, jnp.where(starts, output, left), flag, was)
 
 
 def begin(inputs):
     x, _ = inputs["lane"]
     same = jnp.asarray(0.3, x.dtype)
-    return (x, 0.5 - 0.5 * x, 0.1 * x, 0.0 * x, jnp.int32(0), x > 0.0, same), None
+    moving = x, 0.5 - 0.5 * x, 0.1 * x, 0.0 * x, jnp.int32(0), x > 0.0, same
+    return (*moving, 0.2 * x, x, x - 0.3), None
 
 
 def finish(carry, inputs):
-    a, b, left, right, count, flag, _ = carry
-    return a - b, left, right, count, flag
+    a, b, left, right, count, flag, _, *kept = carry
+    return a - b, left, right, count, flag, *kept
 
 
 def given(dtype):

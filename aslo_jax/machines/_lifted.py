@@ -21,7 +21,7 @@ MotorKind = Literal["aslo", "lifted_kalman", "adaptive"]
 Parameter = Literal["resistance", "magnet_flux"]
 Deviation = Positive | Annotated[list[Positive], Field(min_length=1)]
 HELD = "held"
-OF_ADAPTIVE = ("parameters", "deviations", "drift", "hold", "bank")
+OF_ADAPTIVE = ("parameters", "deviations", "drift", "hold", "bank", "tolerance")
 ALLOWED = "a positive finite number, or one for each column"
 
 
@@ -49,8 +49,8 @@ def prior_key(example: float) -> Any:
     )
 
 
-def adaptive_keys() -> tuple[Any, Any, Any, Any, Any]:
-    """`parameters`, `deviations`, `drift`, `hold` and `bank`."""
+def adaptive_keys() -> tuple[Any, ...]:
+    """`parameters`, `deviations`, `drift`, `hold`, `bank` and `tolerance`."""
     of = f'with kind = "{ADAPTIVE}": '
     return (
         key(
@@ -68,6 +68,10 @@ def adaptive_keys() -> tuple[Any, Any, Any, Any, Any]:
             default=0.03,
         ),
         key(f"{of}how many values of the first of these", default=11),
+        key(
+            f"{of}relative deviation of the flux above which the estimate is flagged",
+            default=0.01,
+        ),
     )
 
 
@@ -170,6 +174,7 @@ def adaptive(relation: Callable[..., Any], settings: Any) -> Adaptive:
         settings.drift,
         settings.hold,
         settings.bank,
+        tolerance=settings.tolerance,
     )
 
 

@@ -70,7 +70,7 @@ LAYOUT = Layout(
 )
 
 
-_PARAMETERS, _DEVIATIONS, _DRIFT, _HOLD, _BANK = _lifted.adaptive_keys()
+_PARAMETERS, _DEVIATIONS, _DRIFT, _HOLD, _BANK, _TOLERANCE = _lifted.adaptive_keys()
 
 
 class MotorObserver(ObserverTable):
@@ -97,6 +97,7 @@ class MotorObserver(ObserverTable):
     drift: NonNegative = _DRIFT
     hold: Positive = _HOLD
     bank: Annotated[int, Field(ge=3)] = _BANK
+    tolerance: Positive = _TOLERANCE
 
     @model_validator(mode="after")
     def _forgets(self):

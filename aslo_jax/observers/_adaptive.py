@@ -21,6 +21,11 @@ from ._lifting import entries
 IMPROBABLE = 5.0  # deviations of a parameter
 
 
+def uncertain(certificate: Array, tolerance: Array) -> Bool[Array, "..."]:
+    """Whether what is not known is more than `tolerance` of what is."""
+    return certificate * (1.0 + tolerance * tolerance) < 1.0
+
+
 def _one_each(x: Any) -> Array:
     """A tuple or a list is one array."""
     return real(jnp.asarray(x)) if isinstance(x, list | tuple) else real(x)
@@ -60,12 +65,15 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
     - `hold`: the parameters are held where the first one is not known to this relative
       deviation and information on it comes so slowly that it may be what noise feigns;
     - `bank`: how many values of the first parameter;
-    - `initial`: x before it is known, shape `(n,)`; zero by default.
+    - `initial`: x before it is known, shape `(n,)`; zero by default;
+    - `tolerance`: what is not known of x may be so much of its size, for a motor that of
+      the flux of its magnet, where the estimate is given without a flag.
 
-    The estimate is an [`AdaptiveEstimate`][]. It is `coasting` until the bank has started,
-    and while a rival solution lives: at one constant slow speed, a motor with another
-    resistance whose magnet points the other way has the very same currents and voltages.
-    So it is while a parameter is found 5 of its `deviations` away: that is no solution.
+    The estimate is an [`AdaptiveEstimate`][]. It is `coasting` until the bank has started;
+    where it is not known to the `tolerance`, as at rest; and while a rival solution lives:
+    at one constant slow speed, a motor with another resistance whose magnet points the
+    other way has the very same currents and voltages. So it is while a parameter is found 5
+    of its `deviations` away: that is no solution.
     Its certificate is that of [`Lifted`][], and 0 before the start. Where a sample is
     missing it is carried along the known derivative, and says so; its covariance grows as
     if all that is held in place of the sample were wrong, and once x may be off by a tenth
@@ -94,6 +102,7 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
     hold: Float[Array, ""] = eqx.field(converter=real, default=0.03)
     bank: int = eqx.field(static=True, default=11)
     initial: Float[Array, " n"] | None = eqx.field(converter=optional_real, default=None)
+    tolerance: Float[Array, ""] = eqx.field(converter=real, default=0.01)
 
     def __check_init__(self) -> None:
         if not callable(self.relation):
@@ -103,6 +112,7 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
                 positive(name, leaf)
         positive("deviations", self.deviations)
         positive("hold", self.hold)
+        positive("tolerance", self.tolerance)
         if not isinstance(self.bank, int) or self.bank < 3:
             raise ValueError(
                 f"Argument `bank` must be an integer of at least 3, but got {self.bank!r}."
@@ -173,10 +183,12 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
         certificate = curved_certificate((row,), x, spread)
         nominal = model.nominal().astype(x.dtype)
         improbable = jnp.any(jnp.abs(belief.mean[n:]) > IMPROBABLE * self.deviations)
+        doubted = belief.rivals > ALIVE
+        doubted = doubted | improbable | uncertain(certificate, self.tolerance)
         return AdaptiveEstimate(
             x,
             jnp.where(belief.started, certificate, 0.0),
-            ~belief.started | (belief.rivals > ALIVE) | improbable,
+            ~belief.started | doubted,
             P[:n, :n],
             parameters=nominal * (1.0 + belief.mean[n:]),
             parameter_covariance=nominal[:, None] * nominal * P[n:, n:],

@@ -26,7 +26,10 @@ def tables(figures: dict[str, Any]) -> str:
     wrong.append(["*bound, parameters unknown*", *unknown])
     for who in every:
         wrong.append([who, *(_mwb(of(n, who)["wrong"]) for n in names)])
-    for label, key in (("lost without a flag", "lost"), ("flagged at the end", "flagged")):
+    for label, key in (
+        ("lost without a flag", "lost"),
+        ("flagged in the last half second", "flagged"),
+    ):
         counts = [f"{of(n, 'Adaptive')[key]} of {of(n, 'Adaptive')['runs']}" for n in names]
         wrong.append([f"Adaptive, {label}", *counts])
     claims = [["observer", *names], ["---"] * (len(names) + 1)]

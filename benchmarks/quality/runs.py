@@ -11,7 +11,7 @@ SIZE = 0.2086  # Wb
 ROUNDS, TRIALS = 4, 16
 TRAINING, VALIDATION, STARTS = range(1, 9), range(5000, 5200), range(20_000, 22_000)
 ALONE = range(7000, 7020)  # for each of the wrong parameters, of who holds them
-BOUNDED = range(5000, 5016)
+FOUND = STARTS[: len(STARTS) // 10]  # for each of the wrong parameters, of who finds them
 # Relative errors of the resistance and the magnet flux that an observer is given.
 WRONG = (
     (0.05, 0.0),
@@ -121,8 +121,7 @@ def judged(regime: str, who: str, contender: Contender) -> dict[str, Any]:
     gains = tuned(regime, who, contender)
     exact = run(who, regime, VALIDATION, gains)
     if contender.finds:  # the starts are those with wrong parameters
-        seeds = STARTS[: len(STARTS) // len(WRONG)]
-        wrong = starts = run(who, regime, seeds, gains, WRONG)
+        wrong = starts = run(who, regime, FOUND, gains, WRONG)
     else:
         wrong = run(who, regime, ALONE, gains, WRONG)
         starts = run(who, regime, STARTS, gains)
@@ -163,9 +162,10 @@ def bounds(regime: str) -> dict[str, float]:
         process=MachineState(jnp.zeros(2), number(1e4), number(0.0)),
     )
     make = lambda sample: experiment(None, sample)
-    each = samples(regime, BOUNDED)
-    known = cramer_rao(make, each, STEPS, **settings)
-    unknown = cramer_rao(make, each, STEPS, unknown=PRIOR, **settings)
+    # Of the very runs that are judged: how much a run tells depends on where it begins.
+    exact, wrong = samples(regime, VALIDATION), samples(regime, FOUND)
+    known = cramer_rao(make, exact, STEPS, **settings)
+    unknown = cramer_rao(make, wrong, STEPS, unknown=PRIOR, **settings)
     resistance = unknown.parameters["resistance"][:, -1]
     return {
         "known": known.rms(AFTER).value,

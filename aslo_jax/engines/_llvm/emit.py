@@ -194,10 +194,10 @@ class _Kernel:
             self._count()
             self._choose()
         left, saved = [], []
-        for way, name in zip(ways, WAYS, strict=False):
+        for which, name in zip(range(len(ways)), WAYS, strict=False):
             if len(ways) > 1:
                 self.out.label(name)
-            vectors = Vectors(self.values, way)
+            vectors = Vectors(self.values, which)
             vectors.make()
             if len(ways) == 1:
                 self._count()

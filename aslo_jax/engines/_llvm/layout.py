@@ -35,7 +35,8 @@ class Layout:
         the carry."""
         numbers: dict[int, None] = {}
         overlaps = [self._overlaps(way, numbers) for way in self.step.ways]
-        double = [any(some) for some in zip(*overlaps, strict=True)]
+        left = [self._left(way) for way in self.step.ways]
+        double = self._double(overlaps, left)
         self.half = sum(
             self.size(d) for d, two in zip(self.carried, double, strict=True) if two
         )
@@ -45,6 +46,15 @@ class Layout:
             self.carry_places.append((ends[two], two))
             ends[two] += self.size(dtype)
         self.frame.place("carry", ends[False])
+        self._asides = [
+            {
+                i: self.frame.place(("aside", i), self.size(self.carried[i]))
+                for i, overlap in enumerate(some)
+                if overlap and not double[i] and i not in unchanged
+            }
+            for some, unchanged in zip(overlaps, left, strict=True)
+        ]
+        self._still = [{i for i in some if not double[i]} for some in left]
         self.constants: dict[int, int] = {}  # their places
         self.fixed: dict[int, int] = {}  # over time, and different for each lane
         for number in numbers:
@@ -53,6 +63,31 @@ class Layout:
                 self.constants[number] = self.frame.place(number, self.register)
             elif self.varies[number] == (False, True):
                 self.fixed[number] = self.frame.place(number, self.size(node.dtype))
+
+    def _double(
+        self, overlaps: Sequence[Sequence[bool]], left: Sequence[set[int]]
+    ) -> list[bool]:
+        """The entries of the carry with two places, one for each of two steps. What the
+        usual way leaves as it is stays where it is, and costs it nothing: others make it
+        aside and move it there at their end, which must not be before a record of what it
+        was."""
+        double = [any(some) for some in zip(*overlaps, strict=True)]
+        recorded = [self._recorded(way) for way in self.step.ways]
+        for i in left[0]:
+            late = [i in r and i not in l for r, l in zip(recorded, left, strict=True)]
+            double[i] = double[i] and any(late)
+        return double
+
+    def _left(self, way: Way) -> set[int]:
+        """The entries of the carry that a way leaves as they are."""
+        nodes = ((i, self.graph.nodes[n]) for i, n in enumerate(way.body.loop.carry))
+        return {i for i, n in nodes if n.op == "input" and n.data == ("carry", i)}
+
+    def _recorded(self, way: Way) -> set[int]:
+        """Those of which its record needs what they were."""
+        body = way.body
+        read = {a for n in body.record for a in self._single(body.nodes[n])}
+        return set(carries(self.graph, read | set(body.loop.record)))
 
     def _read(self, instruction: Instruction[Part]) -> Sequence[Part]:
         """What an instruction reads: one that is a group, of what changes over time."""
@@ -170,3 +205,16 @@ class Layout:
         and what to add to it."""
         offset, two = self.carry_places[i]
         return offset, base if two else "0"
+
+    def made(self, i: int, way: int) -> tuple[int, str] | None:
+        """Where a way puts the next i-th entry of the carry: none where it is there."""
+        if i in self._still[way]:
+            return None
+        aside = self._asides[way].get(i)
+        return self.home(i, "%next") if aside is None else (aside, "0")
+
+    def settle(self, way: int) -> None:
+        """Moves what a way has made aside."""
+        for i, aside in self._asides[way].items():
+            value = self.got(self.at(aside), self.carried[i])
+            self.put(value, self.at(*self.home(i, "%next")), self.carried[i])

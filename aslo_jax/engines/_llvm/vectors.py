@@ -11,12 +11,14 @@ from .writer import PARTIAL
 
 
 class Vectors:
-    """Of one way of a step, as parts in registers. `leaving`: where those are in the frame
-    that its record needs."""
+    """Of one way of a step, by its number, as parts in registers. `leaving`: where those
+    are in the frame that its record needs."""
 
-    def __init__(self, values: Values, way: Way) -> None:
-        self.values, self.way, self.made = values, way, way.made
+    def __init__(self, values: Values, which: int) -> None:
         self.layout, self.out, self.graph = values.layout, values.out, values.graph
+        self.values, self.which = values, which
+        self.way: Way = self.layout.step.ways[which]
+        self.made = self.way.made
         self.parts: dict[Part, str] = {}
         self.spreads: dict[tuple[int, int], str] = {}
         self.leaving: dict[int, tuple[int, str]] = {}
@@ -27,7 +29,8 @@ class Vectors:
         carry: dict[int, list[int]] = {}
         for i, number in enumerate(way.body.loop.carry):
             carry.setdefault(number, []).append(i)
-        whole = {n: self.layout.home(places[0], "%next") for n, places in carry.items()}
+        places = {n: self.layout.made(i, self.which) for n, (i, *_) in carry.items()}
+        whole = {n: place for n, place in places.items() if place is not None}
         for n in leaving - carry.keys():
             whole[n] = self.values.groups.home(n), "0"
         listed = self.values.groups.stored(self.made)
@@ -75,6 +78,7 @@ class Vectors:
                     given = self._lasting(value)
                     for i in carry[number]:
                         self._keep_part(i, value, given)
+        self.layout.settle(self.which)
         self.leaving = {n: whole[n] for n in leaving}
 
     def _loop(self, group: Group) -> None:
@@ -90,7 +94,10 @@ class Vectors:
         self.values.groups.call(group)
 
     def _keep_part(self, i: int, value: Part, name: str) -> None:
-        offset, base = self.layout.home(i, "%next")
+        made = self.layout.made(i, self.which)
+        if made is None:
+            return
+        offset, base = made
         place = self.layout.at(offset + self.layout.first(value), base)
         self.layout.put(name, place, self.layout.carried[i])
 

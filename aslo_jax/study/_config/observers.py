@@ -167,6 +167,9 @@ class AdaptiveTable(AbstractNoiseTable):
     bank: Annotated[int, Field(ge=3)] = key(
         "of a motor: how many values of the first of these", default=11
     )
+    tolerance: Positive = key(
+        "relative deviation of x above which its estimate is flagged", default=0.01
+    )
 
 
 Gains = Positive | Annotated[list[Positive], Field(min_length=1)]
