@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from .._ir.graph import BOOL, Graph, Several
+from .._ir.graph import BOOL, Graph
+from .._ir.several import Several
 
 NAME = "aslo_jax_outlined_"  # and a number, of a `jax.jit`
 MOVING = 2  # its last arguments, which change over time

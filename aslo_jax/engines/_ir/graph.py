@@ -7,15 +7,14 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from .folding import FOLD, converted, fused
+from .several import Several
 
 # The types of numbers that a graph may compute with, by name.
 NUMBERS = ("float64", "float32", "bool")
 NUMBERS += tuple(f"{kind}{8 * size}" for kind in ("int", "uint") for size in (1, 2, 4, 8))
 BOOL = np.dtype(bool)
-# Inputs that differ from lane to lane.
-LANEWISE = ("lane", "lane log", "carry", "saving", "argument")
-# Operations that are done in functions, on arrays in memory.
-LOOPED = ("dot", "call", "part")
+LANEWISE = ("lane", "lane log", "carry", "saving", "argument")  # inputs
+LOOPED = ("dot", "call", "part")  # done in functions, on arrays in memory
 Value = TypeVar("Value")
 
 
@@ -24,15 +23,6 @@ class Function(NamedTuple):
 
     graph: "Graph"
     result: int
-
-
-class Several(NamedTuple):
-    """A function of scalars with several results: a graph whose inputs have the slots
-    `("argument", k)`, of which the first `moving` change over time."""
-
-    graph: "Graph"
-    results: tuple[int, ...]
-    moving: int
 
 
 class Node(NamedTuple):
@@ -53,10 +43,7 @@ class Node(NamedTuple):
         if self.op == "call":
             return self.data.graph.size(self.data.result)
         if self.op == "part":
-            function, _ = self.data  # each result has its share
-            own = function.graph.reachable(list(function.results))
-            work = sum(function.graph.nodes[n].size for n in own)
-            return -(-work // len(function.results))
+            return self.data[0].size  # each result has its share
         return {"fma": 2, "dot": len(self.args) - 1}.get(self.op, 1)
 
     def varies(self, args: list[tuple[bool, bool]]) -> tuple[bool, bool]:
@@ -238,9 +225,8 @@ class Graph:
         which = list(self._several).index(content)
         found = []
         for k, result in enumerate(function.results):
-            dtype = function.graph.dtype(result)
-            node = Node("part", dtype, args, (function, k))
-            found.append(self._number(("part", dtype, args, which, k), node))
+            node = Node("part", function.graph.dtype(result), args, (function, k))
+            found.append(self._number((*node[:3], which, k), node))
         return found
 
     def _inlined(self, function: Function, args: tuple[int, ...]) -> int:

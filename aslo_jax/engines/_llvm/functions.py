@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._backend.scheduling import depth_first
-from .._ir.graph import Several
 from .._ir.selection import selected
+from .._ir.several import Several
 from .loops import Array, operation
 from .writer import Writer
 

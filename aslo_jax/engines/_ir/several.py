@@ -1,0 +1,18 @@
+"""Functions of scalars that have several results."""
+
+from typing import Any, NamedTuple
+
+
+class Several(NamedTuple):
+    """A function of scalars with several results: a graph whose inputs have the slots
+    `("argument", k)`, of which the first `moving` change over time."""
+
+    graph: Any  # a `Graph`
+    results: tuple[int, ...]
+    moving: int
+
+    @property
+    def size(self) -> int:
+        """Operations, over the number of results."""
+        own = self.graph.reachable(list(self.results))
+        return -(-sum(self.graph.nodes[n].size for n in own) // len(self.results))
