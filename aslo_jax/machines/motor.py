@@ -133,7 +133,13 @@ def with_load(plant: Any, table: Any) -> Any:
 
 def driving(log: Log, resistance: float, noise: Noise | None = None) -> CondensedLog:
     """A log of the derivative of the flux, `u - R i` (V), alone, and its `noise`."""
-    v = log.u - resistance * log.y
+    with np.errstate(over="ignore"):
+        v = log.u - resistance * log.y
+    if not np.isfinite(v[np.isfinite(log.u).all(1) & np.isfinite(log.y).all(1)]).all():
+        raise MachineError(
+            f"`machine.resistance` of {resistance:.4g} ohm makes a voltage of the log's "
+            "currents that is no finite number; check its unit."
+        )
     return CondensedLog(log.t, v, np.zeros((log.t.size, 0)), {}, noise=noise)
 
 
