@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+ROUNDING = 4.0  # a pivot of so many roundings of what it is the rest of is none
+
 
 def safe_reciprocal(x: Array) -> Array:
     """`1/x`, and 0 where `x` is 0, with finite gradients."""
@@ -25,6 +27,15 @@ def contract(X: Float[Array, "*order n"], z: Float[Array, " n"]) -> Float[Array,
     return jnp.sum(X * z, axis=-1)
 
 
+def _known_inverse(pivot: Array, least: Array | float) -> tuple[Array, Array]:
+    """`1/pivot` and whether the pivot is more than `least`. Where it is not, the inverse is
+    huge: a compiler may make a pivot that is rounding twice, with either sign, and what
+    then passes for regular must not have a certificate."""
+    regular = pivot > least
+    huge = float(jnp.finfo(pivot.dtype).tiny) ** -0.5
+    return jnp.where(regular, 1.0 / jnp.where(regular, pivot, 1.0), huge), regular
+
+
 def solve_definite(
     M: Float[Array, "n n"], v: Float[Array, " n"], scale: Float[Array, " n"] | None = None
 ) -> tuple[Float[Array, " n"], Float[Array, ""]]:
@@ -34,15 +45,16 @@ def solve_definite(
     between the least eigenvalue and n times it; of M with its rows and columns divided by
     the roots of `scale` where that is given. Where M is singular both are 0.
     """
-    n = v.shape[0]
+    n, eps = v.shape[0], float(jnp.finfo(M.dtype).eps)
     below = [[M[i, j] for j in range(n)] for i in range(n)]  # L D
     L = [[jnp.zeros_like(v[0])] * n for _ in range(n)]
     inverse_pivot = []
     regular = jnp.asarray(True)
     for j in range(n):
         pivot = below[j][j] - sum((below[j][k] * L[j][k] for k in range(j)), start=0.0)
-        regular = regular & (pivot > 0)
-        inverse_pivot.append(1.0 / jnp.where(pivot > 0, pivot, 1.0))
+        inverted, known = _known_inverse(pivot, ROUNDING * eps * M[j, j])
+        regular = regular & known
+        inverse_pivot.append(inverted)
         for i in range(j + 1, n):
             known = sum((below[i][k] * L[j][k] for k in range(j)), start=0.0)
             below[i][j] = below[i][j] - known
@@ -74,7 +86,7 @@ def solve_rows(
     Returns x (of least squares when m > n) and the harmonic mean of the eigenvalues of
     `R'R / m`. Where R is singular both are 0.
     """
-    m, n = R.shape
+    (m, n), eps = R.shape, float(jnp.finfo(R.dtype).eps)
     columns = [R[:, j] for j in range(n)]
     rest = b
     T = [[jnp.zeros_like(b[0])] * n for _ in range(n)]
@@ -82,8 +94,10 @@ def solve_rows(
     regular = jnp.asarray(True)
     for j in range(n):
         square = jnp.sum(columns[j] * columns[j])
-        regular = regular & (square > 0)
-        inverse_pivot.append(1.0 / jnp.sqrt(jnp.where(square > 0, square, 1.0)))
+        least = (ROUNDING * eps) ** 2 * jnp.sum(R[:, j] * R[:, j])
+        inverted, known = _known_inverse(square, least)
+        regular = regular & known
+        inverse_pivot.append(jnp.sqrt(inverted))
         q = columns[j] * inverse_pivot[j]
         for k in range(j + 1, n):
             T[j][k] = jnp.sum(q * columns[k])

@@ -76,7 +76,7 @@ def interrupted(name: str, after: float, number: signal.Signals, folder: Path) -
         ("estimate", 0.01, signal.SIGINT, "interrupted"),
         ("explore", 0.9, signal.SIGINT, "interrupted"),
         ("tune", 0.4, signal.SIGTERM, "terminated"),
-        ("export", 2.0, signal.SIGINT, "interrupted"),
+        ("export", 0.5, signal.SIGINT, "interrupted"),
         ("study", 3.5, signal.SIGINT, "interrupted"),
     ],
 )

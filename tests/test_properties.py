@@ -129,8 +129,9 @@ def test_offsets_of_the_double_integrator(shape, cutoff, gain, offset):
     u = a * np.sin(9 * b * t + c)
     y = d + e * t + f * np.cos(7 * t)
     right = speed(cutoff, u, y, gain)
+    lag = 0.5 * STEP / np.tanh(0.5 * cutoff * STEP)  # of a sampled filter: 1 / lam and more
     for of_input, of_output, expected in (
-        (offset, 0.0, (offset / cutoff, offset / cutoff + offset / gain)),
+        (offset, 0.0, (offset * lag, offset * lag + offset / gain)),
         (0.0, offset, (0.0, 0.0)),
     ):
         found = speed(cutoff, u + of_input, y + of_output, gain)

@@ -138,7 +138,7 @@ def test_licences(monkeypatch, licence, refused):
 def test_licences_reach_what_dependencies_need():
     found = _licences.licences()
     assert found["jax"] == "Apache-2.0"
-    assert "opt-einsum" in found and "pytest" not in found and "aslo-jax" not in found
+    assert "opt-einsum" in found and "hypothesis" not in found and "aslo-jax" not in found
 
 
 def test_what_archives_must_have():

@@ -88,3 +88,16 @@ def test_exponential_of_a_rotation_and_its_derivatives():
     single = exponential_integrals(jnp.full((1, 1), -3.0, jnp.float32))
     assert single[0].dtype == jnp.float32
     np.testing.assert_allclose(single[0], np.exp(-3.0), rtol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_what_one_row_tells_is_singular_whatever_the_rounding(dtype):
+    """A pivot that is rounding has either sign, and a compiler may make it twice."""
+    rng = np.random.default_rng(3)
+    r = (rng.standard_normal((500, 2)) * 10.0 ** rng.uniform(-4, 4, (500, 1))).astype(dtype)
+    M = jax.vmap(jnp.outer)(r, r) * dtype(0.37)
+    x, certificate = jax.jit(jax.vmap(solve_definite))(M, 0.2 * r, r * r)
+    assert not np.any(x) and not np.any(certificate)
+    rows = jnp.stack([r, dtype(1.3) * r], axis=1)
+    x, certificate = jax.jit(jax.vmap(solve_rows))(rows, 0.2 * r)
+    assert certificate.max() < 8 * np.finfo(dtype).eps

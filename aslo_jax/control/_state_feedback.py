@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.signal
 from jaxtyping import Array, Float
 
 from .._checks import positive, real
@@ -62,6 +61,8 @@ class StateFeedback(AbstractController):
         A = np.asarray(by_x) * sizes / sizes[:, None] / bandwidth
         B = np.asarray(by_u) * pushes / sizes[:, None] / bandwidth
         poles = -np.geomspace(*POLES, len(A))
+        import scipy.signal  # heavy to import
+
         found: Any = scipy.signal.place_poles(A, B, poles)
         return cls(found.gain_matrix * pushes[:, None] / sizes, x, hold, signal)
 

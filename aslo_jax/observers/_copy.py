@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.signal
 from jaxtyping import Array, Float
 
 from .._checks import is_concrete, positive, real
@@ -109,6 +108,8 @@ class Luenberger(AbstractObserver):
         C = C * sizes / seen[:, None]
         _refuse_unobservable(A, C)
         poles = -np.geomspace(*POLES, len(A))
+        import scipy.signal  # heavy to import
+
         found: Any = scipy.signal.place_poles(A.T, C.T, poles)
         placed = found.gain_matrix.T
         return cls(model, bandwidth * placed * sizes[:, None] / seen, x)
