@@ -480,7 +480,8 @@ def faults(number: int, folder: Path) -> list[str]:
             found.append(f"says {len(error)} characters")
         left = {p.name for p in folder.iterdir()} - before
         # A model's file is Python, which keeps what it compiles.
-        if left - {"out", "__pycache__"} or any(p.name.startswith(".") for p in folder.rglob("*")):
+        hidden = any(p.name.startswith(".") for p in folder.rglob("*"))
+        if hidden or left - {"out", "__pycache__"}:
             found.append(f"leaves {sorted(left)}")
     if code == 0 and arguments[0] == "estimate":
         found += _of_table(folder, error)

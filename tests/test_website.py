@@ -43,6 +43,8 @@ def test_constructors_are_shown_with_their_fields():
     assert str(low_pass.parameters[1].annotation) == ("Float[Array, ''] | AbstractSchedule")
     observer = _reference.source_of("aslo_jax.AlgebraicObserver")
     assert str(observer.parameters["guard"].default) == "Guard()"
+    battery = _reference.source_of("aslo_jax.plants.Battery")
+    assert str(battery.parameters["capacity"].default) == "3060.0"
 
 
 def test_every_public_name_has_one_place():

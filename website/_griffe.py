@@ -131,15 +131,19 @@ def _is_field(each: griffe.Attribute) -> bool:
         each.annotation is not None
         and "instance-attribute" in each.labels  # griffe's word for no `ClassVar`
         and "AbstractVar" not in str(each.annotation)
+        # Bare, it is an instance's to griffe.
+        and not str(each.annotation).endswith("ClassVar")
         and not each.name.startswith("_")
     )
 
 
 def default(field: griffe.Attribute) -> Any:
-    """What a field is without an argument: of `field(default=...)` too; that of a factory
-    is a call of it."""
+    """What a field is without an argument: of `field(default=...)` and of
+    `parameter(about, unit, default)` too; that of a factory is a call of it."""
     value = field.value
-    if not _is_call_of_field(value):
+    if _is_call_of(value, "parameter") and len(value.arguments) >= 3:
+        return value.arguments[2]
+    if not _is_call_of(value, "field"):
         return value
     for each in value.arguments:  # pyright: ignore[reportAttributeAccessIssue, reportOptionalMemberAccess]
         if getattr(each, "name", "") == "default":
@@ -150,14 +154,14 @@ def default(field: griffe.Attribute) -> Any:
     return None
 
 
-def _is_call_of_field(value: Any) -> bool:
-    return isinstance(value, griffe.ExprCall) and str(value.function).split(".")[-1] == (
-        "field"
+def _is_call_of(value: Any, name: str) -> bool:
+    return isinstance(value, griffe.ExprCall) and (
+        str(value.function).split(".")[-1] == name
     )
 
 
 def _given(name: str, field: griffe.Attribute, value: str) -> bool:
-    return _is_call_of_field(field.value) and any(
+    return _is_call_of(field.value, "field") and any(
         getattr(each, "name", "") == name and str(getattr(each, "value", "")) == value
         for each in field.value.arguments  # pyright: ignore[reportAttributeAccessIssue, reportOptionalMemberAccess]
     )

@@ -1,8 +1,8 @@
 """The flux vector as it is found.
 
 The first 60 ms of the recorded motor, slowed down: the true flux (grey), the estimate
-with the exact start (blue), which is there within a millisecond or two, and with the
-printed one (red).
+with the exact start (blue), which is there within a millisecond, and with the printed
+one (red).
 """
 
 import jax
