@@ -122,20 +122,31 @@ def rows(factor: float, cell: float | None = None) -> list[list[str]]:
     return [head, *found]
 
 
-@pytest.mark.parametrize(
-    ("factor", "cell", "more"), [(1e150, None, ()), (1.0, 1e155, ("--outliers", "keep"))]
-)
-def test_numbers_that_are_not_finite_are_counted(factor, cell, more, tmp_path, capsys):
+def estimated(tmp_path, capsys, body, *more):
+    """The table of a log, and what was said."""
     log, out = tmp_path / "log.csv", tmp_path / "o.csv"
     with log.open("w", newline="") as file:
-        csv.writer(file).writerows(rows(factor, cell))
+        csv.writer(file).writerows(body)
     with pytest.raises(SystemExit) as caught:
         main(["estimate", str(log), "--machine", str(MOTOR), "--out", str(out), *more])
     assert not caught.value.code
-    table = np.genfromtxt(out, delimiter=",", skip_header=1)
-    bad = int((~np.isfinite(table)).any(axis=1).sum())
+    table = np.genfromtxt(out, delimiter=",", names=True)
+    return table, capsys.readouterr().err
+
+
+def test_numbers_that_are_not_finite_are_counted(tmp_path, capsys):
+    table, said = estimated(tmp_path, capsys, rows(1e150))
+    bad = int((~np.isfinite(np.array(table.tolist()))).any(axis=1).sum())
     assert bad > 0
-    assert f"{bad} of {len(table)} rows of the table hold" in capsys.readouterr().err
+    assert f"{bad} of {len(table)} rows of the table hold" in said
+
+
+def test_after_a_number_whose_square_is_none_it_coasts_and_says_so(tmp_path, capsys):
+    table, said = estimated(tmp_path, capsys, rows(1.0, 1e155), "--outliers", "keep")
+    assert "the outputs of row 300 cannot be right" in said
+    assert table["coasting"][300:].all() and not table["coasting"][100:299].any()
+    bad = int((~np.isfinite(np.array(table.tolist()))).any(axis=1).sum())
+    assert not bad or f"{bad} of {len(table)} rows of the table hold" in said
 
 
 @pytest.mark.parametrize("power", [-700, 530])
