@@ -74,7 +74,7 @@ class Heyoka:
     """The same by heyoka's batches of Taylor series, 8 at a time."""
 
     def __init__(self, samples, tolerance: float, **choice: Any) -> None:
-        import heyoka as hy
+        import heyoka as hy  # pyright: ignore[reportMissingImports]
 
         self.samples, names = samples, "f0 f1 w a H K0 K1 W M00 M01 M11 v0 v1"
         variables = hy.make_vars(*names.split())

@@ -140,17 +140,17 @@ def _is_field(each: griffe.Attribute) -> bool:
 def default(field: griffe.Attribute) -> Any:
     """What a field is without an argument: of `field(default=...)` and of
     `parameter(about, unit, default)` too; that of a factory is a call of it."""
-    value = field.value
+    value: Any = field.value
     if _is_call_of(value, "parameter") and len(value.arguments) >= 3:
         return value.arguments[2]
     if not _is_call_of(value, "field"):
         return value
-    for each in value.arguments:  # pyright: ignore[reportAttributeAccessIssue, reportOptionalMemberAccess]
+    for each in value.arguments:
         if getattr(each, "name", "") == "default":
-            return each.value  # pyright: ignore[reportAttributeAccessIssue]
+            return each.value
         if getattr(each, "name", "") == "default_factory":
-            made = str(each.value).removeprefix("lambda: ")  # pyright: ignore[reportAttributeAccessIssue]
-            return made if made != str(each.value) else f"{made}()"  # pyright: ignore[reportAttributeAccessIssue]
+            made = str(each.value).removeprefix("lambda: ")
+            return made if made != str(each.value) else f"{made}()"
     return None
 
 
