@@ -278,14 +278,15 @@ def test_a_drift_keeps_a_parameter_open():
 def test_what_it_finds_is_differentiable():
     t, u, y, _ = record(steady, 0.1, 8)
 
-    def found(s):
+    def at_the_end(s):
         relation = aslo.plants.FluxRelation(R, L, M)
-        estimate = aslo.replay(aslo.Adaptive(relation, s, VOLTAGE, bank=3), t, u, y)
+        found = aslo.Adaptive(relation, s, VOLTAGE, bank=3, tolerance=0.1)
+        estimate = aslo.replay(found, t, u, y)
         return jnp.append(estimate.value[-1], estimate.parameters[-1]), estimate.coasting[
             -1
         ]
 
-    of = jax.jit(lambda s: jax.jvp(found, (s,), (jnp.ones(()),)))
+    of = jax.jit(lambda s: jax.jvp(at_the_end, (s,), (jnp.ones(()),)))
     # Between the instants at which a start would change.
     (_, coasting), (slope, _) = of(jnp.asarray(CURRENT))
     step = 1e-6 * CURRENT
