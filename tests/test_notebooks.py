@@ -26,13 +26,12 @@ NUMBER = re.compile(r"[-+]?\d+(\.\d*)?(e[-+]?\d+)?|\binf\b|\bnan\b")
 
 
 def words_of(notebook):
-    """What it prints, number by number as signs, since the last digits are the machine's;
-    neither warnings nor how a table in a notebook is drawn."""
+    """What each cell prints, number by number as signs, since the last digits are the
+    machine's; neither warnings nor how a table in a notebook is drawn. A kernel sends what
+    one cell prints in as many messages as it likes."""
     texts = [
-        out["text"]
+        "".join(out["text"] for out in cell.get("outputs", []) if out.get("name") == "stdout")
         for cell in notebook.cells
-        for out in cell.get("outputs", [])
-        if out.get("name") == "stdout"
     ]
     return [NUMBER.sub("#", text).split() for text in texts]
 
