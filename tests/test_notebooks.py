@@ -30,7 +30,9 @@ def words_of(notebook):
     machine's; neither warnings nor how a table in a notebook is drawn. A kernel sends what
     one cell prints in as many messages as it likes."""
     texts = [
-        "".join(out["text"] for out in cell.get("outputs", []) if out.get("name") == "stdout")
+        "".join(
+            out["text"] for out in cell.get("outputs", []) if out.get("name") == "stdout"
+        )
         for cell in notebook.cells
     ]
     return [NUMBER.sub("#", text).split() for text in texts]

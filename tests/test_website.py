@@ -1,11 +1,11 @@
 """The pages: every name with constructor and example, links, search, what is shipped."""
 
+import contextlib
 import importlib
 import inspect
 import re
 import zipfile
 
-import browser
 import pytest
 from typer.testing import CliRunner
 
@@ -13,6 +13,7 @@ import aslo_jax as aslo
 from aslo_jax import _site
 from aslo_jax.cli import _docs
 from aslo_jax.cli._app import app
+from benchmarks.browser import Browser, found
 
 pytest.importorskip("zensical", reason="of the extra docs")
 
@@ -231,19 +232,22 @@ def test_the_site_is_small_and_the_same_when_it_is_built_again(html, tmp_path):
         )
 
 
+in_a_browser = pytest.mark.skipif(found() is None, reason="no Chromium is installed")
 SEARCH = "document.activeElement.shadowRoot"
 
 
 @pytest.mark.slow
-def test_search_finds_and_nothing_is_asked_of_a_network(html, tmp_path):
-    with browser.browser(tmp_path) as page:
+@in_a_browser
+def test_search_finds_and_nothing_is_asked_of_a_network(html):
+    with contextlib.closing(Browser()) as page:
         for name in ("index", "reference/filters"):
             page.open((html / f"{name}.html").as_uri())
+            page.wait("document.readyState === 'complete'")
             page.value("document.querySelector('.md-search__button').click()")
             # The window of the search is in a tree of its own.
-            page.until(f"{SEARCH} && {SEARCH}.activeElement?.tagName === 'INPUT'")
-            page.type("LowPass")
-            link = page.until(
+            page.wait(f"{SEARCH} && {SEARCH}.activeElement?.tagName === 'INPUT'")
+            page("Input.insertText", text="LowPass")
+            link = page.wait(
                 f"[...{SEARCH}.querySelectorAll('a')].map(a => a.href)"
                 ".find(each => each.includes('LowPass'))"
             )
@@ -254,12 +258,13 @@ def test_search_finds_and_nothing_is_asked_of_a_network(html, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_pages_fit_a_narrow_window(html, tmp_path, dark):
-    with browser.browser(tmp_path) as page:
-        page.resize(390, 800, dark)
+@in_a_browser
+def test_pages_fit_a_narrow_window(html, dark):
+    with contextlib.closing(Browser((390, 800), dark)) as page:
         # The colours change nothing of the widths.
         for path in sorted(html.rglob("*.html"))[:: 20 if dark else 1]:
             page.open(path.as_uri())
+            page.wait("document.readyState === 'complete'")
             wide = page.value("document.documentElement.scrollWidth")
             assert wide <= 390, path
         background = "getComputedStyle(document.body).backgroundColor"
