@@ -18,6 +18,7 @@ from .mechanisms import (
     resolution,
     samples,
 )
+from .summary import summary
 
 ROUNDS, TRIALS = 3, 16
 TRAINING, VALIDATION, STARTS = range(1, 9), range(5000, 5200), range(20_000, 22_000)
@@ -184,22 +185,8 @@ def judged(name: str, bits: int, who: str, contender: Contender) -> dict[str, An
     starts = run(name, bits, who, STARTS, gains, fast=FAST)
     seeds = VALIDATION if contender.finds else ALONE
     wrong = run(name, bits, who, seeds, gains, WRONG)
-    pooled = lambda x: float(np.sqrt(np.mean(x**2)))
-    found = {
-        "gains": dict(zip(contender.gains, gains[0].tolist(), strict=False)),
-        "rms": pooled(exact["rms"]),
-        "median": float(np.median(exact["rms"])),
-        "diverged": int(starts["diverged"].sum()),
-        "starts": starts["diverged"].size,
-        "wrong": pooled(wrong["rms"]),
-        "by error": [pooled(x) for x in wrong["rms"].reshape(len(WRONG), -1)],
-        "runs": wrong["rms"].size,
-        "flagged": int(wrong["flagged"].sum()),
-        "engine": runner(name, bits, who).engine,
-    }
-    for at, which in (("", exact), ("wrong ", wrong)) if contender.claims else ():
-        found[at + "normalised"] = float(which["normalised"].mean())
-        found[at + "covered"] = float(which["covered"].mean())
+    found = summary(contender, gains, exact, starts, wrong, len(WRONG))
+    found["engine"] = runner(name, bits, who).engine
     if contender.finds:
         system = mechanisms()[name].system
         leaves = [np.ravel(getattr(system, leaf)) for leaf in priors(name)]

@@ -6,6 +6,7 @@ from typing import Any
 
 from .contenders import Contender, contenders
 from .regimes import AFTER, INTERVAL, STEPS, experiment, samples
+from .summary import summary
 
 SIZE = 0.2086  # Wb
 ROUNDS, TRIALS = 4, 16
@@ -116,8 +117,6 @@ def tuned(regime: str, who: str, contender: Contender) -> Any:
 def judged(regime: str, who: str, contender: Contender) -> dict[str, Any]:
     """Tuned on the training seeds; with exact parameters judged on others, from many
     starts, and with wrong parameters."""
-    import numpy as np
-
     gains = tuned(regime, who, contender)
     exact = run(who, regime, VALIDATION, gains)
     if contender.finds:  # the starts are those with wrong parameters
@@ -125,23 +124,9 @@ def judged(regime: str, who: str, contender: Contender) -> dict[str, Any]:
     else:
         wrong = run(who, regime, ALONE, gains, WRONG)
         starts = run(who, regime, STARTS, gains)
-    pooled = lambda x: float(np.sqrt(np.mean(x**2)))
-    found = {
-        "gains": dict(zip(contender.gains, gains[0].tolist(), strict=False)),
-        "rms": pooled(exact["rms"]),
-        "median": float(np.median(exact["rms"])),
-        "diverged": int(starts["diverged"].sum()),
-        "starts": starts["diverged"].size,
-        "wrong": pooled(wrong["rms"]),
-        "by error": [pooled(x) for x in wrong["rms"].reshape(len(WRONG), -1)],
-        "runs": wrong["rms"].size,
-        "lost": int((wrong["lost"] > 0).sum()),
-        "flagged": int((wrong["flagged"] > 0).sum()),
-        "engine": runner(who).engine,
-    }
-    for name, which in (("", exact), ("wrong ", wrong)) if contender.claims else ():
-        found[name + "normalised"] = float(which["normalised"].mean())
-        found[name + "covered"] = float(which["covered"].mean())
+    found = summary(contender, gains, exact, starts, wrong, len(WRONG))
+    found["lost"] = int((wrong["lost"] > 0).sum())
+    found["engine"] = runner(who).engine
     if contender.finds:
         found["held"] = int((wrong["held"] > 0).sum())
     return found
