@@ -147,6 +147,22 @@ def sampled(*signals):
     return jax.jit(jax.vmap(row))(jnp.asarray(T))
 
 
+# Made of parts that others have too: for these, what takes long is for the slow tests.
+VARIANTS = (
+    *("chain, second order", "chain, sinusoid rejecting", "chain, paper", "chain, guarded"),
+    *("chain, asymptotic from a guess", "flux, forgetting", "flux, paper", "joined"),
+    *("side by side", "flux, FO1, paper", "flux, FO2, both sides", "flux, FO3"),
+    *("leg, asymptotic velocities", "leg, varying friction", "flux, extended Kalman"),
+    "wheel, lifted velocities",
+)
+variants_are_slow = pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow if n in VARIANTS else ()) for n in OBSERVERS],
+    indirect=True,
+    scope="module",
+)
+
+
 @functools.cache
 def log(name):
     t = jnp.asarray(T)
@@ -247,6 +263,7 @@ def test_replay_equals_a_loop_of_steps(name):
             np.testing.assert_allclose(a, b[k], rtol=1e-10, atol=1e-13)
 
 
+@variants_are_slow
 def test_jit_and_vmap_change_nothing(name):
     observer, (u, y, _) = OBSERVERS[name], log(name)
     plain, _ = replay(observer, u, y)
@@ -257,22 +274,7 @@ def test_jit_and_vmap_change_nothing(name):
         assert not np.allclose(b[0], b[1], rtol=1e-6)
 
 
-# Made of parts that others have too.
-VARIANTS = (
-    *("chain, second order", "chain, sinusoid rejecting", "chain, paper", "chain, guarded"),
-    *("chain, asymptotic from a guess", "flux, forgetting", "flux, paper", "joined"),
-    *("side by side", "flux, FO1, paper", "flux, FO2, both sides", "flux, FO3"),
-    *("leg, asymptotic velocities", "leg, varying friction", "flux, extended Kalman"),
-    "wheel, lifted velocities",
-)
-
-
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=pytest.mark.slow if n in VARIANTS else ()) for n in OBSERVERS],
-    indirect=True,
-    scope="module",
-)
+@variants_are_slow
 def test_every_gain_has_a_gradient(name):
     observer, (u, y, _) = OBSERVERS[name], log(name)
     # Where the equations hold exactly no gain of theirs matters.
@@ -290,6 +292,7 @@ def test_every_gain_has_a_gradient(name):
     assert any(jnp.abs(leaf).max() > 0 for leaf in leaves)
 
 
+@variants_are_slow
 def test_single_precision_stays_single_and_close(name):
     observer, (u, y, _) = OBSERVERS[name], log(name)
     cast = lambda tree: jax.tree.map(

@@ -27,7 +27,10 @@ def blocks(text: str) -> list[tuple[str, str, int, int]]:
     return found
 
 
-LONG = ("calibration", "batches", "modelled-plants", "small-examples")
+LONG = (
+    *("batches", "calibration", "closed-loops", "continuous-time", "mechanical-systems"),
+    *("modelled-plants", "small-examples", "tuning"),
+)
 MARKED = [
     pytest.param(page, marks=[pytest.mark.slow] if page.stem in LONG else [])
     for page in PAGES
