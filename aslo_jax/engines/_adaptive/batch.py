@@ -8,7 +8,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from ..._checks import is_concrete
 from ..._continuous import recorded
@@ -17,6 +16,7 @@ from .._frontend.outlining import name_of
 from .._fused.plan import Batch, Plan
 from .._fused.program import Program
 from .._runtime.host import widths
+from .alike import States
 from .marching import March
 from .pairs import pair_for
 from .program import Bodies, adaptive
@@ -78,15 +78,25 @@ class Continuous:
         def experiment(inputs) -> Any:
             return plan.make(jax.tree.unflatten(self.tree, inputs["lane"]))
 
-        def of(inputs):
+        def begun(inputs):
             made = experiment(inputs)
             loop, x0 = made.begun(steps)
             start = loop.init(jnp.zeros((), jnp.result_type(float)), x0)
-            x, tree = ravel_pytree(start)
+            return made, loop, start
+
+        states = States.of_system(
+            lambda inputs: begun(inputs)[2],
+            lambda inputs, t, x: begun(inputs)[1].vector_field(t, x, None),
+        )
+
+        def of(inputs):
+            made, loop, start = begun(inputs)
+            alike = states(inputs)
+            x, tree = alike.packed(start)
             pair = pair_for(made.rtol)
 
             def rate(t, x):
-                return ravel_pytree(loop.vector_field(t, tree(x), None))[0]
+                return alike.packed(loop.vector_field(t, tree(x), None))[0]
 
             rate.__name__ = name_of(pair.main)
             jumps = np.empty(0) if loop.span is None else loop.span.jumps

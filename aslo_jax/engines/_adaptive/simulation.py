@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from ..._checks import is_concrete
 from ..._typing import PyTree
@@ -15,6 +14,7 @@ from .._fused.kept import kept, key_of, shape_of
 from .._fused.program import Program
 from .._fused.refusal import notice
 from .._runtime.host import widths
+from .alike import States
 from .marching import March
 from .pairs import pair_for
 from .program import Bodies, adaptive
@@ -75,11 +75,14 @@ def bodies(system: System, plan: Plan) -> Bodies:
     ends = (np.asarray(t, dtype) for t in (plan.t0, plan.t1))
     march = March(stepper, plan.jumps, *ends)
 
+    states = States.of_system(system.init, system.rate)
+
     def of(arrays: PyTree) -> tuple[Any, Any, Callable]:
-        x, tree = ravel_pytree(system.init(arrays))
+        alike = states(arrays)
+        x, tree = alike.packed(system.init(arrays))
 
         def rate(t, x):
-            return ravel_pytree(system.rate(arrays, t, tree(x)))[0]
+            return alike.packed(system.rate(arrays, t, tree(x)))[0]
 
         rate.__name__ = name_of(pair.main)
         return x, tree, jax.jit(rate)
@@ -184,14 +187,20 @@ class Simulation:
 def _with_last(record: PyTree, last: PyTree, reached: np.ndarray) -> PyTree:
     """Rows whose last one is that of the end, for the lanes that have reached it."""
 
-    def put(rows: np.ndarray, row: np.ndarray) -> np.ndarray:
+    everywhere = reached.all()
+
+    def there(row: np.ndarray) -> np.ndarray:
+        if everywhere:
+            return row
         blank = np.asarray(np.nan if row.dtype.kind == "f" else 0, row.dtype)
-        there = reached.reshape(-1, *(1,) * (row.ndim - 1))
-        rows[:, -1] = np.where(there, row, blank)
+        return np.where(reached.reshape(-1, *(1,) * (row.ndim - 1)), row, blank)
+
+    def put(rows: np.ndarray, row: np.ndarray) -> np.ndarray:
+        rows[:, -1] = there(row)
         return rows
 
     if record is None:
-        record = jax.tree.map(lambda x: np.empty((len(x), 1, *x.shape[1:]), x.dtype), last)
+        return jax.tree.map(lambda row: there(row)[:, None], last)
     return jax.tree.map(put, record, last)
 
 
