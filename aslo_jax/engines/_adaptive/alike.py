@@ -1,5 +1,5 @@
-"""States that are always equal, which are integrated once: the two halves of a symmetric
-matrix, or the filters that several observers have in common."""
+"""A system traced once, as a vector of states: those that are always equal are integrated
+once, the two halves of a symmetric matrix, or filters that observers have in common."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from ..._typing import PyTree
 from .._frontend.lower import flatten
@@ -17,40 +16,60 @@ from .._ir.rewrite import rebuilt
 
 
 class States(NamedTuple):
-    """A tree of states as a vector of those that differ: `first`, shape `(m,)`, where each
-    of these is in the whole vector, and `of`, shape `(n,)`, which of these each state is."""
+    """`like`, the shapes of the tree of states; `first`, shape `(m,)`, where each of those
+    that differ is among all, and `of`, shape `(n,)`, which of these each state is; `init`
+    and `field`, the first state and its derivative, traced before."""
 
+    like: PyTree
     first: np.ndarray
     of: np.ndarray
+    init: Callable[[PyTree], PyTree]
+    field: Callable[[PyTree, Any, PyTree], PyTree]
 
-    def packed(self, tree: PyTree) -> tuple[Any, Callable[[Any], PyTree]]:
-        """The vector of a tree, shape `(m,)`, and the tree of such a vector."""
-        whole, back = ravel_pytree(tree)
-        if len(self.first) == len(self.of):
-            return whole, back
-        return whole[self.first], lambda x: back(jnp.asarray(x)[self.of])
+    def start(self, given: PyTree) -> Any:
+        """The first state, shape `(m,)`."""
+        return self._packed(self.init(given))
+
+    def rate(self, given: PyTree, t: Any, x: Any) -> Any:
+        """The derivative at a state, both of shape `(m,)`."""
+        return self._packed(self.field(given, t, self.tree(x)))
+
+    def tree(self, x: Any) -> PyTree:
+        """Of a vector of shape `(m,)`."""
+        leaves, tree = jax.tree.flatten(self.like)
+        x = x if len(self.of) == len(self.first) else x[self.of]
+        ends = np.cumsum([leaf.size for leaf in leaves])[:-1]
+        pieces = jnp.split(x, ends) if leaves else []
+        return jax.tree.unflatten(
+            tree,
+            [p.reshape(s.shape).astype(s.dtype) for p, s in zip(pieces, leaves, strict=True)],
+        )
+
+    def _packed(self, tree: PyTree) -> Any:
+        x = jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(tree)])
+        return x if len(self.of) == len(self.first) else x[self.first]
 
 
-    @staticmethod
-    def of_system(
-        init: Callable[[PyTree], PyTree], rate: Callable[[PyTree, Any, PyTree], PyTree]
-    ) -> "Callable[[PyTree], States]":
-        """A function of what is constant in time that gives those of a system, found once:
-        `init(given)` is its first state, a tree, and `rate(given, t, state)` its derivative.
+def traced(
+    init: Callable[[PyTree], PyTree], rate: Callable[[PyTree, Any, PyTree], PyTree]
+) -> Callable[[PyTree], States]:
+    """A function of what is constant in time that gives the states of a system, traced when
+    it is first called: `init(given)` is the first one, a tree, and `rate(given, t, state)`
+    its derivative."""
+    known: list[States] = []
 
-        The coarsest partition whose parts begin alike and go on alike, as that of the carry
-        of a loop (congruence of loop-carried values)."""
-        known: list[States] = []
+    def states(given: PyTree) -> States:
+        if not known:
+            known.append(_found(init, rate, given))
+        return known[0]
 
-        def states(given: PyTree) -> States:
-            if not known:
-                known.append(_found(init, rate, given))
-            return known[0]
-
-        return states
+    return states
 
 
 def _found(init: Callable, rate: Callable, given: PyTree) -> States:
+    """The coarsest partition whose parts begin alike and go on alike, as that of the carry
+    of a loop (congruence of loop-carried values)."""
+    init, rate = jax.jit(init), jax.jit(rate)  # of which JAX keeps the traces
     given = jax.tree.map(lambda x: jax.ShapeDtypeStruct(jnp.shape(x), x.dtype), given)
     begin, start = jax.make_jaxpr(init, return_shape=True)(given)
     t = jax.ShapeDtypeStruct((), jnp.result_type(float))
@@ -73,4 +92,5 @@ def _found(init: Callable, rate: Callable, given: PyTree) -> States:
         group = following
     kept = sorted(set(first))
     place = {k: i for i, k in enumerate(kept)}
-    return States(np.array(kept, int), np.array([place[k] for k in first], int))
+    of = np.array([place[k] for k in first], int)
+    return States(start, np.array(kept, int), of, init, rate)

@@ -14,7 +14,7 @@ from .._fused.kept import kept, key_of, shape_of
 from .._fused.program import Program
 from .._fused.refusal import notice
 from .._runtime.host import widths
-from .alike import States
+from .alike import States, traced
 from .marching import March
 from .pairs import pair_for
 from .program import Bodies, adaptive
@@ -75,42 +75,41 @@ def bodies(system: System, plan: Plan) -> Bodies:
     ends = (np.asarray(t, dtype) for t in (plan.t0, plan.t1))
     march = March(stepper, plan.jumps, *ends)
 
-    states = States.of_system(system.init, system.rate)
+    states = traced(system.init, system.rate)
 
-    def of(arrays: PyTree) -> tuple[Any, Any, Callable]:
+    def of(arrays: PyTree) -> tuple[States, Callable]:
         alike = states(arrays)
-        x, tree = alike.packed(system.init(arrays))
 
         def rate(t, x):
-            return alike.packed(system.rate(arrays, t, tree(x)))[0]
+            return alike.rate(arrays, t, x)
 
         rate.__name__ = name_of(pair.main)
-        return x, tree, jax.jit(rate)
+        return alike, jax.jit(rate)
 
     def begin(inputs):
-        x, _, rate = of(inputs["lane"])
+        alike, rate = of(inputs["lane"])
         row = jnp.asarray(0, jnp.int64 if _wide() else jnp.int32)
-        return march.begin(rate, x), row if len(ts) else None, None
+        return march.begin(rate, alike.start(inputs["lane"])), row if len(ts) else None, None
 
     def advance(carry, inputs, _):
-        return march.step(of(inputs["lane"])[2], carry)
+        return march.step(of(inputs["lane"])[1], carry)
 
     def save(row, dense, inputs, _):
-        _, tree, rate = of(inputs["lane"])
+        alike, rate = of(inputs["lane"])
         dense = stepper.prepared(rate, Dense(*dense))
         t = jnp.asarray(ts)[jnp.minimum(row, len(ts) - 1)]
         due = dense.accepted & (row < len(ts)) & (t <= dense.end)
-        columns = system.record(inputs["lane"], t, tree(stepper.at(dense, t)))
+        columns = system.record(inputs["lane"], t, alike.tree(stepper.at(dense, t)))
         return due, jnp.asarray(True), row, row + 1, columns
 
     def finish(carry, _, inputs):
         lane = carry.lane
-        _, tree, rate = of(inputs["lane"])
+        alike, rate = of(inputs["lane"])
         stiff = stepper.stiff(rate, lane, jnp.asarray(march.t1))
         outcome = Outcome(lane.code, lane.accepted, lane.rejected, stiff)
         if len(ts) == len(plan.ts):
             return outcome, None
-        return outcome, system.record(inputs["lane"], jnp.asarray(march.t1), tree(lane.x))
+        return outcome, system.record(inputs["lane"], jnp.asarray(march.t1), alike.tree(lane.x))
 
     return Bodies(begin, advance, finish, save if len(ts) else None)
 
@@ -131,14 +130,8 @@ class Simulation:
         self._program: Program | None = None
 
     def shapes(self, leaves: list[Any]) -> Any:
-        def one(leaves):
-            arrays = jax.tree.unflatten(self.tree, leaves)
-            state = self.system.init(arrays)
-            t = jnp.asarray(self.plan.t0, self.plan.ts.dtype)
-            return self.system.record(arrays, t, state)
-
-        rows = len(self.plan.ts)
-        row = jax.eval_shape(one, leaves)
+        rows, program = len(self.plan.ts), self.program(leaves)
+        row = program.final[1] if program.record is None else program.record
         whole = lambda s: jax.ShapeDtypeStruct((rows, *s.shape), s.dtype)
         dtype = self.plan.ts.dtype
         number = jax.ShapeDtypeStruct((), dtype)
@@ -167,7 +160,7 @@ class Simulation:
         if self._program is not None:
             return self._program
         given = {"lane": shapes}
-        make = lambda: adaptive(self._bodies(), given, widths())
+        make = lambda: adaptive(self._bodies(), given, widths()[:1])
         static = jax.tree.map(_hashable, self.key)
         program = kept(key_of(static, given, self.tree, *self.plan.key), make)
         program.compile()
@@ -237,7 +230,6 @@ def simulated(system: System, arrays: PyTree, static: PyTree, plan: Plan) -> Any
     run = Simulation(system, plan, static, tree, ranks)
     if is_concrete(*leaves):
         return jax.device_put(run([np.asarray(x) for x in leaves]))
-    run.program([jax.ShapeDtypeStruct(jnp.shape(x), x.dtype) for x in leaves])
     shapes = run.shapes([jax.ShapeDtypeStruct(jnp.shape(x), x.dtype) for x in leaves])
 
     @jax.custom_jvp

@@ -92,6 +92,7 @@ class Graph:
         self.branches: dict[int, None] = {}  # conditions that were branches in the source
         self._numbers: dict[Any, int] = {}
         self._moves: list[bool] = []  # whether nodes change over time
+        self.outlines: dict[Any, Any] = {}  # functions that stay functions (`outlining`)
         self._functions: dict[Any, Function] = {}
         self._several: dict[Any, Several] = {}
 
