@@ -8,7 +8,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from ..._checks import is_concrete
 from ..._continuous import recorded
@@ -17,6 +16,7 @@ from .._frontend.outlining import name_of
 from .._fused.plan import Batch, Plan
 from .._fused.program import Program
 from .._runtime.host import widths
+from .alike import traced
 from .marching import March
 from .pairs import pair_for
 from .program import Bodies, adaptive
@@ -51,7 +51,7 @@ class Continuous:
     @functools.cached_property
     def program(self) -> Program:
         """Traced when it is first asked for, and compiled when first called."""
-        return adaptive(self._bodies(), {"lane": self.sample}, widths())
+        return adaptive(self._bodies(), {"lane": self.sample}, widths()[:1])
 
     def __call__(self, samples: PyTree) -> Batch:
         leaves = jax.tree.leaves(samples)
@@ -78,15 +78,24 @@ class Continuous:
         def experiment(inputs) -> Any:
             return plan.make(jax.tree.unflatten(self.tree, inputs["lane"]))
 
+        def start(inputs):
+            loop, x0 = experiment(inputs).begun(steps)
+            return loop.init(jnp.zeros((), jnp.result_type(float)), x0)
+
+        def field(inputs, t, state):
+            return experiment(inputs).begun(steps)[0].vector_field(t, state, None)
+
+        states = traced(start, field)
+
         def of(inputs):
             made = experiment(inputs)
-            loop, x0 = made.begun(steps)
-            start = loop.init(jnp.zeros((), jnp.result_type(float)), x0)
-            x, tree = ravel_pytree(start)
+            loop, _ = made.begun(steps)
+            alike = states(inputs)
+            x, tree = alike.start(inputs), alike.tree
             pair = pair_for(made.rtol)
 
             def rate(t, x):
-                return ravel_pytree(loop.vector_field(t, tree(x), None))[0]
+                return alike.rate(inputs, t, x)
 
             rate.__name__ = name_of(pair.main)
             jumps = np.empty(0) if loop.span is None else loop.span.jumps

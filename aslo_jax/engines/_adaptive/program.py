@@ -9,6 +9,7 @@ import numpy as np
 from ..._typing import PyTree
 from .._frontend.lower import check_numbers, flatten
 from .._fused.program import Inputs, Program, flat, numbered, uncollected
+from .._ir.graph import Goal
 from .._ir.loop import Adaptive, Loop
 
 # Passes for what a step has in common with the next one, with all lanes, or with what is
@@ -46,7 +47,7 @@ def adaptive(
     check_numbers(inputs, "the samples have")
     begin, (carry, saving, kept) = make(bodies.begin, inputs)
     advance, (_, _, dense) = make(bodies.advance, carry, inputs, kept)
-    given = Inputs(carry, inputs)
+    given = Inputs(carry, inputs, Goal(inverts=True))
     graph, size = given.graph, len(given.carry)
     begun = flatten(graph, begin, given.fixed)
     more = len(jax.tree.leaves(saving))

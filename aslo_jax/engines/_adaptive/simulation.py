@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from ..._checks import is_concrete
 from ..._typing import PyTree
@@ -15,6 +14,7 @@ from .._fused.kept import kept, key_of, shape_of
 from .._fused.program import Program
 from .._fused.refusal import notice
 from .._runtime.host import widths
+from .alike import States, traced
 from .marching import March
 from .pairs import pair_for
 from .program import Bodies, adaptive
@@ -75,39 +75,41 @@ def bodies(system: System, plan: Plan) -> Bodies:
     ends = (np.asarray(t, dtype) for t in (plan.t0, plan.t1))
     march = March(stepper, plan.jumps, *ends)
 
-    def of(arrays: PyTree) -> tuple[Any, Any, Callable]:
-        x, tree = ravel_pytree(system.init(arrays))
+    states = traced(system.init, system.rate)
+
+    def of(arrays: PyTree) -> tuple[States, Callable]:
+        alike = states(arrays)
 
         def rate(t, x):
-            return ravel_pytree(system.rate(arrays, t, tree(x)))[0]
+            return alike.rate(arrays, t, x)
 
         rate.__name__ = name_of(pair.main)
-        return x, tree, jax.jit(rate)
+        return alike, jax.jit(rate)
 
     def begin(inputs):
-        x, _, rate = of(inputs["lane"])
+        alike, rate = of(inputs["lane"])
         row = jnp.asarray(0, jnp.int64 if _wide() else jnp.int32)
-        return march.begin(rate, x), row if len(ts) else None, None
+        return march.begin(rate, alike.start(inputs["lane"])), row if len(ts) else None, None
 
     def advance(carry, inputs, _):
-        return march.step(of(inputs["lane"])[2], carry)
+        return march.step(of(inputs["lane"])[1], carry)
 
     def save(row, dense, inputs, _):
-        _, tree, rate = of(inputs["lane"])
+        alike, rate = of(inputs["lane"])
         dense = stepper.prepared(rate, Dense(*dense))
         t = jnp.asarray(ts)[jnp.minimum(row, len(ts) - 1)]
         due = dense.accepted & (row < len(ts)) & (t <= dense.end)
-        columns = system.record(inputs["lane"], t, tree(stepper.at(dense, t)))
+        columns = system.record(inputs["lane"], t, alike.tree(stepper.at(dense, t)))
         return due, jnp.asarray(True), row, row + 1, columns
 
     def finish(carry, _, inputs):
         lane = carry.lane
-        _, tree, rate = of(inputs["lane"])
+        alike, rate = of(inputs["lane"])
         stiff = stepper.stiff(rate, lane, jnp.asarray(march.t1))
         outcome = Outcome(lane.code, lane.accepted, lane.rejected, stiff)
         if len(ts) == len(plan.ts):
             return outcome, None
-        return outcome, system.record(inputs["lane"], jnp.asarray(march.t1), tree(lane.x))
+        return outcome, system.record(inputs["lane"], jnp.asarray(march.t1), alike.tree(lane.x))
 
     return Bodies(begin, advance, finish, save if len(ts) else None)
 
@@ -128,14 +130,8 @@ class Simulation:
         self._program: Program | None = None
 
     def shapes(self, leaves: list[Any]) -> Any:
-        def one(leaves):
-            arrays = jax.tree.unflatten(self.tree, leaves)
-            state = self.system.init(arrays)
-            t = jnp.asarray(self.plan.t0, self.plan.ts.dtype)
-            return self.system.record(arrays, t, state)
-
-        rows = len(self.plan.ts)
-        row = jax.eval_shape(one, leaves)
+        rows, program = len(self.plan.ts), self.program(leaves)
+        row = program.final[1] if program.record is None else program.record
         whole = lambda s: jax.ShapeDtypeStruct((rows, *s.shape), s.dtype)
         dtype = self.plan.ts.dtype
         number = jax.ShapeDtypeStruct((), dtype)
@@ -164,7 +160,7 @@ class Simulation:
         if self._program is not None:
             return self._program
         given = {"lane": shapes}
-        make = lambda: adaptive(self._bodies(), given, widths())
+        make = lambda: adaptive(self._bodies(), given, widths()[:1])
         static = jax.tree.map(_hashable, self.key)
         program = kept(key_of(static, given, self.tree, *self.plan.key), make)
         program.compile()
@@ -184,14 +180,20 @@ class Simulation:
 def _with_last(record: PyTree, last: PyTree, reached: np.ndarray) -> PyTree:
     """Rows whose last one is that of the end, for the lanes that have reached it."""
 
-    def put(rows: np.ndarray, row: np.ndarray) -> np.ndarray:
+    everywhere = reached.all()
+
+    def there(row: np.ndarray) -> np.ndarray:
+        if everywhere:
+            return row
         blank = np.asarray(np.nan if row.dtype.kind == "f" else 0, row.dtype)
-        there = reached.reshape(-1, *(1,) * (row.ndim - 1))
-        rows[:, -1] = np.where(there, row, blank)
+        return np.where(reached.reshape(-1, *(1,) * (row.ndim - 1)), row, blank)
+
+    def put(rows: np.ndarray, row: np.ndarray) -> np.ndarray:
+        rows[:, -1] = there(row)
         return rows
 
     if record is None:
-        record = jax.tree.map(lambda x: np.empty((len(x), 1, *x.shape[1:]), x.dtype), last)
+        return jax.tree.map(lambda row: there(row)[:, None], last)
     return jax.tree.map(put, record, last)
 
 
@@ -228,7 +230,6 @@ def simulated(system: System, arrays: PyTree, static: PyTree, plan: Plan) -> Any
     run = Simulation(system, plan, static, tree, ranks)
     if is_concrete(*leaves):
         return jax.device_put(run([np.asarray(x) for x in leaves]))
-    run.program([jax.ShapeDtypeStruct(jnp.shape(x), x.dtype) for x in leaves])
     shapes = run.shapes([jax.ShapeDtypeStruct(jnp.shape(x), x.dtype) for x in leaves])
 
     @jax.custom_jvp

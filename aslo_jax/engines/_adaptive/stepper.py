@@ -2,9 +2,10 @@
 JAX for a lane: what depends on the lane is chosen with `where`."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -15,6 +16,7 @@ SAFETY, LEAST, MOST = 0.9, 0.2, 2.5  # of the next step over this one
 STARTING, FIRST = 5, 12.0  # so many steps may become as many times longer
 ITERATIONS = 6  # of the largest rate
 BOUNDED = 0.8  # of the stable interval
+LITTLE, MUCH = 1e-10, 1e20  # an error over what is tolerated, as small or large as any
 SMALLEST = 4.0  # units of the last place of time: a step below is none
 
 RUNNING, ENDED, DIVERGED = 0, 1, 2
@@ -22,8 +24,8 @@ RUNNING, ENDED, DIVERGED = 0, 1, 2
 
 class Lane(NamedTuple):
     """Where a lane is: `code`, whether it runs, has ended at the last instant, or has come
-    to a point from which no step leads on; t and x, the length h to be tried, the logarithm
-    of the last error over what is tolerated, and how many steps were `accepted` and how
+    to a point from which no step leads on; t and x, the length h to be tried, the binary
+    logarithm of the last error over what is tolerated, and how many steps were `accepted` and how
     many `rejected`."""
 
     code: Int[Array, ""]
@@ -79,7 +81,7 @@ class Stepper(NamedTuple):
             100.0 * h, jnp.where(flat, jnp.maximum(1e-6 * span, 1e-3 * h), power)
         )
         zero = jnp.zeros_like(t0)
-        first = jnp.asarray(math.log(1e-4), jnp.float32)
+        first = jnp.asarray(math.log2(1e-4), jnp.float32)
         code = jnp.asarray(RUNNING, jnp.int32)
         h = jnp.minimum(h, span)
         return Lane(
@@ -96,22 +98,24 @@ class Stepper(NamedTuple):
         known = [] if lane.slope is None else [lane.slope]
         k = slopes(pair, field, t, x, h, range(len(known), pair.main), known)
         end = x + h * weighted(pair.weights, k)
-        peak = jnp.maximum(lane.peak, jnp.abs(end))
-        wrong = h * weighted(pair.error, k)
-        # How long a step may be need not be known to more than seven digits.
-        wrong = wrong.astype(jnp.float32) / self._scale(peak).astype(jnp.float32)
-        size = jnp.log(jnp.maximum(jnp.max(jnp.abs(wrong)), 1e-10))
-        accepted = running & (size <= 0.0)  # not where it is no number
-        known = jnp.where(size < 50.0, size, 50.0)
+        peak = _larger(jnp.abs(end), lane.peak)
+        # How long a step may be need not be known to more than some digits.
+        wrong = weighted(pair.error, k).astype(jnp.float32)
+        wrong = jnp.abs(wrong / self._scale(peak).astype(jnp.float32))
+        largest = _largest(wrong) * h.astype(jnp.float32)
+        sound = jnp.isfinite(jnp.sum(wrong))
+        accepted = running & (largest <= 1.0) & sound
+        size = _log2(_larger(jnp.where(sound & (largest < MUCH), largest, MUCH), LITTLE))
         power = 1.0 / pair.falls
         exponent = jnp.where(
             accepted,
-            pair.gain * lane.error - (power - 0.75 * pair.gain) * known,
-            -power * known,
+            pair.gain * lane.error - (power - 0.75 * pair.gain) * size,
+            -power * size,
         )
-        most = jnp.where(lane.accepted < STARTING, math.log(FIRST), math.log(MOST))
-        exponent = jnp.clip(exponent + math.log(SAFETY), math.log(LEAST), most)
-        factor = jnp.exp(jnp.where(accepted | (exponent < 0.0), exponent, 0.0))
+        most = jnp.where(lane.accepted < STARTING, math.log2(FIRST), math.log2(MOST))
+        exponent = _larger(exponent + math.log2(SAFETY), math.log2(LEAST))
+        exponent = jnp.where(exponent < most, exponent, most)
+        factor = _exp2(jnp.where(accepted | (exponent < 0.0), exponent, 0.0))
         after = h * factor.astype(h.dtype)
         after = jnp.where(accepted & last, jnp.maximum(after, lane.h), after)
         least = SMALLEST * jnp.finfo(x.dtype).eps * jnp.maximum(jnp.abs(t), jnp.abs(t1))
@@ -131,7 +135,7 @@ class Stepper(NamedTuple):
             jnp.where(accepted, peak, lane.peak),
             None if lane.slope is None else jnp.where(accepted, k[-1], lane.slope),
             jnp.where(running, after, lane.h),
-            jnp.where(accepted, jnp.maximum(size, math.log(1e-4)), lane.error),
+            jnp.where(accepted, _larger(size, math.log2(1e-4)), lane.error),
             lane.accepted + more,
             lane.rejected + (one - more),
         )
@@ -196,6 +200,47 @@ def weighted(weights: Any, k: list[Any]) -> Any:
     total = w * first
     for w, each in rest:
         total = total + w * each
+    return total
+
+
+def _larger(x: Any, y: Any) -> Any:
+    """y where x is no number: one instruction, as `jnp.maximum` is not."""
+    return jnp.where(x > y, x, y)
+
+
+def _largest(x: Any) -> Any:
+    """Of numbers, pair by pair: chains of operations are short."""
+    while len(x) > 1:
+        half = len(x) // 2
+        x = jnp.concatenate([_larger(x[:half], x[half : 2 * half]), x[2 * half :]])
+    return x[0]
+
+
+# Of the step controller, with relative errors of 5e-4 and continuous: of a normal number
+# the binary logarithm, by its exponent and a polynomial of its mantissa less one, without
+# the first factor, and the power of two.
+LOG2 = (-0.08065, 0.31815, -0.67588, 1.43838)
+EXP2 = (0.07914, 0.225, 0.69586, 1.0)
+
+
+def _log2(x: Any) -> Any:
+    bits = jax.lax.bitcast_convert_type(x, jnp.int32)
+    power = ((bits >> 23) - 127).astype(x.dtype)
+    part = jax.lax.bitcast_convert_type((bits & 0x7FFFFF) | 0x3F800000, x.dtype) - 1.0
+    return power + part * _horner(LOG2, part)
+
+
+def _exp2(x: Any) -> Any:
+    whole = jnp.floor(x)
+    bits = (whole.astype(jnp.int32) + 127) << 23
+    part = x - whole
+    return jax.lax.bitcast_convert_type(bits, x.dtype) * _horner(EXP2, part)
+
+
+def _horner(coefficients: Sequence[float], x: Any) -> Any:
+    total: Any = coefficients[0]
+    for c in coefficients[1:]:
+        total = total * x + c
     return total
 
 

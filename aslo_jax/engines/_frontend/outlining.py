@@ -2,7 +2,7 @@
 numbers is machine code once, rather than once for each time."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,16 @@ MOVING = 2  # its last arguments, which change over time
 # Operations of all evaluations of a function from which on it is outlined: what a processor
 # keeps decoded (`Target`), less what is between them.
 LEAST = 2000
+
+
+class Outline(NamedTuple):
+    """What a function makes, as nodes of its symbolic arguments, the `results` of which are
+    those of a `function` of several, and what that needs besides, `fixed` over time."""
+
+    found: list[np.ndarray]
+    results: list[int]
+    function: Several
+    fixed: list[int]
 
 
 def name_of(times: int) -> str:
@@ -34,32 +44,51 @@ def outlined(
     """The results of a function of arrays of node numbers, which `inline` puts into the
     graph: as parts of one function of scalars. What does not depend on the last arguments
     is not a part of it, but computed before."""
-    given = arguments[-MOVING:]
-    numbers = [int(n) for array in given for n in array.flat]
-    inputs = [graph.input(graph.dtype(n), ("argument", k)) for k, n in enumerate(numbers)]
-    left, symbols = list(inputs), []
-    for array in given:
-        symbols.append(np.array(left[: array.size], np.int64).reshape(array.shape))
-        left = left[array.size :]
-    found = [np.asarray(x) for x in inline([*arguments[:-MOVING], *symbols])]
-    outs = [int(n) for array in found for n in array.flat]
-    own, moving = set(inputs), graph.reachable(outs)
-    for number in moving:
-        if not own.isdisjoint(graph.nodes[number].args):
-            own.add(number)
-    times = int(equation.params["name"].removeprefix(NAME))
-    if len(own) * times < LEAST:
+    moving, still = arguments[-MOVING:], arguments[:-MOVING]
+    numbers = [int(n) for array in moving for n in array.flat]
+    jaxpr = equation.params["jaxpr"]
+    key = id(jaxpr), *(array.tobytes() for array in still)
+    if key not in graph.outlines:
+        times = int(equation.params["name"].removeprefix(NAME))
+        graph.outlines[key] = jaxpr, _outline(graph, inline, moving, still, times)
+    _, outline = graph.outlines[key]
+    if outline is None:
         return inline(list(arguments))
-    results = [n for n in dict.fromkeys(outs) if n in own]
-    function, fixed = _extracted(graph, [n for n in moving if n in own], inputs, results)
-    parts = graph.parts(function, *numbers, *fixed) if results else []
-    new = dict(zip(results, parts, strict=True))
+    parts = graph.parts(outline.function, *numbers, *outline.fixed)
+    new = dict(zip(outline.results, parts, strict=True))
     return [
         np.array([new.get(int(n), int(n)) for n in array.flat], np.int64).reshape(
             array.shape
         )
-        for array in found
+        for array in outline.found
     ]
+
+
+def _outline(
+    graph: Graph,
+    inline: Callable[[list[Any]], list[Any]],
+    moving: Sequence[np.ndarray],
+    still: Sequence[np.ndarray],
+    times: int,
+) -> Outline | None:
+    """Of a function that is evaluated so many times, if that is worth it."""
+    numbers = [int(n) for array in moving for n in array.flat]
+    inputs = [graph.input(graph.dtype(n), ("argument", k)) for k, n in enumerate(numbers)]
+    left, symbols = list(inputs), []
+    for array in moving:
+        symbols.append(np.array(left[: array.size], np.int64).reshape(array.shape))
+        left = left[array.size :]
+    found = [np.asarray(x) for x in inline([*still, *symbols])]
+    outs = [int(n) for array in found for n in array.flat]
+    own, needed = set(inputs), graph.reachable(outs)
+    for number in needed:
+        if not own.isdisjoint(graph.nodes[number].args):
+            own.add(number)
+    results = [n for n in dict.fromkeys(outs) if n in own]
+    if len(own) * times < LEAST or not results:
+        return None
+    order = [n for n in needed if n in own]
+    return Outline(found, results, *_extracted(graph, order, inputs, results))
 
 
 def _extracted(

@@ -58,11 +58,14 @@ class Goal(NamedTuple):
     """What a graph is made for.
 
     - `fuses`: whether a product and a sum that may be rounded once are one operation;
+    - `inverts`: whether what changes over time is multiplied by the inverse of what does
+      not, rather than divided by it: many times as fast, and as right but for the last bit;
     - `large`: of how many multiply-adds a product of matrices, or operations a function of
       an array, is one of loops; `many`: of how many entries such an array is, at least.
     """
 
     fuses: bool = True
+    inverts: bool = False
     large: int = 1000
     many: int = 32
 
@@ -88,6 +91,8 @@ class Graph:
         self.sources: list[Any] = []
         self.branches: dict[int, None] = {}  # conditions that were branches in the source
         self._numbers: dict[Any, int] = {}
+        self._moves: list[bool] = []  # whether nodes change over time
+        self.outlines: dict[Any, Any] = {}  # functions that stay functions (`outlining`)
         self._functions: dict[Any, Function] = {}
         self._several: dict[Any, Several] = {}
 
@@ -268,6 +273,10 @@ class Graph:
         if number is None:
             number = self._numbers[key] = len(self.nodes)
             self.nodes.append(node)
+            moves = any(map(self._moves.__getitem__, node.args))
+            if node.op == "input":
+                moves, _ = node.varies([])
+            self._moves.append(moves)
         return number
 
     def _simplified(self, op: str, args: tuple[int, ...], values: list[Any]) -> int | None:
@@ -314,6 +323,10 @@ class Graph:
                 normal = np.finfo(b.dtype).tiny
                 if normal <= abs(inverse) < np.inf and abs(b) >= normal:
                     return self.op("mul", x, self.const(inverse, b.dtype))
+            fixed = self._moves[x] and not self._moves[y] and b is None
+            if self.goal.inverts and fixed and not whole:
+                one = self.const(1, self.dtype(y))
+                return self.op("mul", x, self.op("div", one, y))
             return None
         if op in ("and", "or") and x == y:
             return x
