@@ -1,5 +1,6 @@
 """Continuous co-simulation by the fused engine: one run, or many beside each other."""
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -75,25 +76,29 @@ def bodies(system: System, plan: Plan) -> Bodies:
     ends = (np.asarray(t, dtype) for t in (plan.t0, plan.t1))
     march = March(stepper, plan.jumps, *ends)
 
-    def of(arrays: PyTree) -> tuple[Any, Any, Callable]:
-        x, tree = ravel_pytree(system.init(arrays))
+    trees: list[Any] = []  # of the state, known from the first trace on
 
-        def rate(t, x):
-            return ravel_pytree(system.rate(arrays, t, tree(x)))[0]
+    def rate(arrays, t, x):
+        return ravel_pytree(system.rate(arrays, t, trees[0](x)))[0]
 
-        rate.__name__ = name_of(pair.main)
-        return x, tree, jax.jit(rate)
+    rate.__name__ = name_of(pair.main)
+    rate = jax.jit(rate)  # traced once
+
+    def of(arrays: PyTree) -> tuple[Any, Callable]:
+        return trees[0], functools.partial(rate, arrays)
 
     def begin(inputs):
-        x, _, rate = of(inputs["lane"])
+        x, tree = ravel_pytree(system.init(inputs["lane"]))
+        trees.append(tree)
+        _, rate = of(inputs["lane"])
         row = jnp.asarray(0, jnp.int64 if _wide() else jnp.int32)
         return march.begin(rate, x), row if len(ts) else None, None
 
     def advance(carry, inputs, _):
-        return march.step(of(inputs["lane"])[2], carry)
+        return march.step(of(inputs["lane"])[1], carry)
 
     def save(row, dense, inputs, _):
-        _, tree, rate = of(inputs["lane"])
+        tree, rate = of(inputs["lane"])
         dense = stepper.prepared(rate, Dense(*dense))
         t = jnp.asarray(ts)[jnp.minimum(row, len(ts) - 1)]
         due = dense.accepted & (row < len(ts)) & (t <= dense.end)
@@ -102,7 +107,7 @@ def bodies(system: System, plan: Plan) -> Bodies:
 
     def finish(carry, _, inputs):
         lane = carry.lane
-        _, tree, rate = of(inputs["lane"])
+        tree, rate = of(inputs["lane"])
         stiff = stepper.stiff(rate, lane, jnp.asarray(march.t1))
         outcome = Outcome(lane.code, lane.accepted, lane.rejected, stiff)
         if len(ts) == len(plan.ts):

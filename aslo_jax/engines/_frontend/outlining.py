@@ -2,7 +2,7 @@
 numbers is machine code once, rather than once for each time."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,18 @@ def is_outlined(equation: Any) -> bool:
     return equation.params.get("name", "").startswith(NAME)
 
 
+class Outline(NamedTuple):
+    """A function of arrays as one of scalars: its results, nodes of the graph by their
+    arrays; those of the `function`, None where it is not worth one, and what is `fixed` of
+    its arguments; the `jaxpr`, which lives as long."""
+
+    found: list[np.ndarray]
+    results: list[int]
+    function: Several | None
+    fixed: list[int]
+    jaxpr: Any
+
+
 def outlined(
     graph: Graph,
     equation: Any,
@@ -36,30 +48,50 @@ def outlined(
     is not a part of it, but computed before."""
     given = arguments[-MOVING:]
     numbers = [int(n) for array in given for n in array.flat]
-    inputs = [graph.input(graph.dtype(n), ("argument", k)) for k, n in enumerate(numbers)]
-    left, symbols = list(inputs), []
+    jaxpr = equation.params["jaxpr"]
+    before = (array.tobytes() for array in arguments[:-MOVING])
+    key = id(jaxpr), *before, *(graph.dtype(n) for n in numbers)
+    if key not in graph.outlined:
+        times = int(equation.params["name"].removeprefix(NAME))
+        graph.outlined[key] = _outline(graph, jaxpr, times, inline, arguments)
+    outline = graph.outlined[key]
+    if outline.function is None:
+        return inline(list(arguments))
+    parts = graph.parts(outline.function, *numbers, *outline.fixed)
+    new = dict(zip(outline.results, parts, strict=True))
+    return [
+        np.array([new.get(int(n), int(n)) for n in array.flat], np.int64).reshape(
+            array.shape
+        )
+        for array in outline.found
+    ]
+
+
+def _outline(
+    graph: Graph, jaxpr: Any, times: int, inline: Callable, arguments: Sequence[np.ndarray]
+) -> Outline:
+    """Without a function where this is not worth one."""
+    given, inputs, symbols = arguments[-MOVING:], list[int](), []
     for array in given:
-        symbols.append(np.array(left[: array.size], np.int64).reshape(array.shape))
-        left = left[array.size :]
+        slots = range(len(inputs), len(inputs) + array.size)
+        dtypes = (graph.dtype(int(n)) for n in array.flat)
+        own = [
+            graph.input(dtype, ("argument", k))
+            for k, dtype in zip(slots, dtypes, strict=True)
+        ]
+        symbols.append(np.array(own, np.int64).reshape(array.shape))
+        inputs += own
     found = [np.asarray(x) for x in inline([*arguments[:-MOVING], *symbols])]
     outs = [int(n) for array in found for n in array.flat]
     own, moving = set(inputs), graph.reachable(outs)
     for number in moving:
         if not own.isdisjoint(graph.nodes[number].args):
             own.add(number)
-    times = int(equation.params["name"].removeprefix(NAME))
-    if len(own) * times < LEAST:
-        return inline(list(arguments))
     results = [n for n in dict.fromkeys(outs) if n in own]
+    if len(own) * times < LEAST or not results:
+        return Outline(found, [], None, [], jaxpr)
     function, fixed = _extracted(graph, [n for n in moving if n in own], inputs, results)
-    parts = graph.parts(function, *numbers, *fixed) if results else []
-    new = dict(zip(results, parts, strict=True))
-    return [
-        np.array([new.get(int(n), int(n)) for n in array.flat], np.int64).reshape(
-            array.shape
-        )
-        for array in found
-    ]
+    return Outline(found, results, function, fixed, jaxpr)
 
 
 def _extracted(
