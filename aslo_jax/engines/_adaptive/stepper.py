@@ -15,6 +15,7 @@ SAFETY, LEAST, MOST = 0.9, 0.2, 2.5  # of the next step over this one
 STARTING, FIRST = 5, 12.0  # so many steps may become as many times longer
 ITERATIONS = 6  # of the largest rate
 BOUNDED = 0.8  # of the stable interval
+WORTH = 500  # steps below which nothing else would take less
 SMALLEST = 4.0  # units of the last place of time: a step below is none
 
 RUNNING, ENDED, DIVERGED = 0, 1, 2
@@ -150,7 +151,8 @@ class Stepper(NamedTuple):
             size = _norm(moved / scale)
             rate = size / _norm(v / scale)
             v = moved / jnp.where(size > 0.0, size, 1.0)
-        return (lane.code == ENDED) & (lane.h * rate > BOUNDED * self.pair.stable)
+        many = lane.accepted >= WORTH
+        return (lane.code == ENDED) & many & (lane.h * rate > BOUNDED * self.pair.stable)
 
     def prepared(self, field: Field, dense: Dense) -> Dense:
         """With the slopes of all stages of the interpolant."""
