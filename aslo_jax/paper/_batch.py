@@ -25,15 +25,19 @@ def is_fused() -> bool:
     return importlib.util.find_spec("llvmlite") is not None
 
 
-def tight(rtol: float = 1e-9, atol: float = 1e-12) -> dict[str, Any]:
+def tight(
+    rtol: float = 1e-9, atol: float = 1e-12, first: float | None = None
+) -> dict[str, Any]:
     """Options of `simulate` for [`solved`][] and [`batch`][]: filter states are tiny at
-    first and count all the same."""
+    first and count all the same. The `first` step (s) of diffrax; the fused engine finds
+    its own."""
     if is_fused():
         return dict(rtol=rtol, atol=atol, engine="fused", max_steps=1_000_000)
     return dict(
         solver=diffrax.Dopri8(),
         stepsize_controller=diffrax.PIDController(rtol=rtol, atol=atol),
         max_steps=1_000_000,
+        dt0=first,
         adjoint=diffrax.ForwardMode(),  # compiles faster
     )
 
