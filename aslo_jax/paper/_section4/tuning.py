@@ -166,15 +166,15 @@ def _rms(errors) -> np.ndarray:
 def evaluate(run: Replay, gains, system, records: tuple[Array, ...]) -> np.ndarray:
     """The rms error of each of `gains`, shape (trials, n), over the given records."""
     count = records[0].shape[0]
-    lanes = jnp.repeat(jnp.asarray(gains), count, axis=0)
-    copies = tuple(jnp.tile(x, (len(gains), 1, 1)) for x in records)
+    lanes = np.repeat(np.asarray(gains), count, axis=0)  # NumPy, which compiles nothing
+    copies = tuple(np.tile(x, (len(gains), 1, 1)) for x in records)
     rms = _rms(run(lanes, copied(system, len(lanes)), *copies))
     return np.sqrt(np.mean(rms.reshape(len(gains), count, -1) ** 2, axis=1))
 
 
 def copied(system: AbstractMechanicalSystem, count: int) -> AbstractMechanicalSystem:
     """`count` of the same system, as one batch."""
-    return jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), system)
+    return jax.tree.map(lambda x: np.broadcast_to(x, (count, *x.shape)), system)
 
 
 def search(run: Replay, box: tuple[float, float], system, training) -> np.ndarray:
@@ -208,8 +208,8 @@ def tune(
     ]
     held_out = tuple(x[:, :VALIDATION].reshape(-1, *x.shape[2:]) for x in records)
     each = [copied(system, VALIDATION) for system in systems]
-    batch = jax.tree.map(lambda *x: jnp.concatenate(x), *each)
-    errors = run(jnp.repeat(jnp.array(gains), VALIDATION, axis=0), batch, *held_out)
+    batch = jax.tree.map(lambda *x: np.concatenate(x), *each)
+    errors = run(np.repeat(gains, VALIDATION, axis=0), batch, *held_out)
     errors = np.asarray(errors).reshape(len(CASES), VALIDATION, *errors.shape[1:])
     largest = np.abs(held_out[2]).max(axis=(0, 1))
     return {name: _tuned(gains[i], errors[i], largest) for i, name in enumerate(CASES)}
