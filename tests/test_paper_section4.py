@@ -170,7 +170,7 @@ def test_wrong_observers_are_found_out(runs):
         "exact": s.a_aslo(s.aslo(heavy), system, quarters),
         "Prop. 5": PRINTED.ball(records.wrong(ball, {"length": 1}), s.RATE),
     }
-    wrong = loops.compiled(lambda: loops.simulated(ball, observers))
+    wrong = loops.solved(lambda: loops.simulated(ball, observers))
     both, slow = wrong.estimates["exact"], f"A-ASLO {s.GAINS[0]:g}"
     quarter = jax.tree.map(lambda x: x[:, 0], both["A-ASLO"])
     swapped = replaced(

@@ -1,8 +1,12 @@
 """Adaptive solves that differ by a number."""
 
+import importlib.util
 from collections.abc import Callable
+from typing import Any
 
+import diffrax
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from .._typing import PyTree
@@ -14,3 +18,39 @@ def one_by_one(one: Callable[[PyTree], PyTree], over: PyTree) -> PyTree:
     run, count = jax.jit(one), len(jax.tree.leaves(over)[0])
     each = [run(jax.tree.map(lambda x, k=k: x[k], over)) for k in range(count)]
     return jax.tree.map(lambda *x: np.stack(x), *each)
+
+
+def is_fused() -> bool:
+    """Whether the fused engine is installed."""
+    return importlib.util.find_spec("llvmlite") is not None
+
+
+def tight(
+    rtol: float = 1e-9, atol: float = 1e-12, first: float | None = None
+) -> dict[str, Any]:
+    """Options of `simulate` for [`solved`][] and [`batch`][]: filter states are tiny at
+    first and count all the same. The `first` step (s) of diffrax; the fused engine finds
+    its own."""
+    if is_fused():
+        return dict(rtol=rtol, atol=atol, engine="fused", max_steps=1_000_000)
+    return dict(
+        solver=diffrax.Dopri8(),
+        stepsize_controller=diffrax.PIDController(rtol=rtol, atol=atol),
+        max_steps=1_000_000,
+        dt0=first,
+        adjoint=diffrax.ForwardMode(),  # compiles faster
+    )
+
+
+def solved(run: Callable[[], PyTree]) -> PyTree:
+    """One simulation as NumPy arrays."""
+    found = run() if is_fused() else jax.jit(run)()
+    return jax.tree.map(np.asarray, found)
+
+
+def batch(one: Callable[[PyTree], PyTree], over: PyTree) -> PyTree:
+    """What `jax.vmap(one)(over)` gives, as NumPy arrays: the lanes of one fused loop. What
+    `one` hands to `simulate` holds what it is given in modules, not in closures."""
+    if not is_fused():
+        return one_by_one(one, over)
+    return jax.tree.map(np.asarray, jax.vmap(one)(jax.tree.map(jnp.asarray, over)))

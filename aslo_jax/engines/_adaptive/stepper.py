@@ -17,6 +17,7 @@ STARTING, FIRST = 5, 12.0  # so many steps may become as many times longer
 ITERATIONS = 6  # of the largest rate
 BOUNDED = 0.8  # of the stable interval
 LITTLE, MUCH = 1e-10, 1e20  # an error over what is tolerated, as small or large as any
+WORTH = 500  # steps below which nothing else would take less
 SMALLEST = 4.0  # units of the last place of time: a step below is none
 
 RUNNING, ENDED, DIVERGED = 0, 1, 2
@@ -154,7 +155,8 @@ class Stepper(NamedTuple):
             size = _norm(moved / scale)
             rate = size / _norm(v / scale)
             v = moved / jnp.where(size > 0.0, size, 1.0)
-        return (lane.code == ENDED) & (lane.h * rate > BOUNDED * self.pair.stable)
+        many = lane.accepted >= WORTH
+        return (lane.code == ENDED) & many & (lane.h * rate > BOUNDED * self.pair.stable)
 
     def prepared(self, field: Field, dense: Dense) -> Dense:
         """With the slopes of all stages of the interpolant."""

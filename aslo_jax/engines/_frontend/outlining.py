@@ -47,11 +47,13 @@ def outlined(
     moving, still = arguments[-MOVING:], arguments[:-MOVING]
     numbers = [int(n) for array in moving for n in array.flat]
     jaxpr = equation.params["jaxpr"]
-    key = id(jaxpr), *(array.tobytes() for array in still)
-    if key not in graph.outlines:
+    dtypes = (graph.dtype(n) for n in numbers)
+    key = id(jaxpr), *(array.tobytes() for array in still), *dtypes
+    if key not in graph.outlined:
         times = int(equation.params["name"].removeprefix(NAME))
-        graph.outlines[key] = jaxpr, _outline(graph, inline, moving, still, times)
-    _, outline = graph.outlines[key]
+        # With the jaxpr itself, so that nothing else comes to have its number.
+        graph.outlined[key] = jaxpr, _outline(graph, inline, moving, still, times)
+    _, outline = graph.outlined[key]
     if outline is None:
         return inline(list(arguments))
     parts = graph.parts(outline.function, *numbers, *outline.fixed)

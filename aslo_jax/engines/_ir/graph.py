@@ -92,9 +92,14 @@ class Graph:
         self.branches: dict[int, None] = {}  # conditions that were branches in the source
         self._numbers: dict[Any, int] = {}
         self._moves: list[bool] = []  # whether nodes change over time
-        self.outlines: dict[Any, Any] = {}  # functions that stay functions (`outlining`)
         self._functions: dict[Any, Function] = {}
         self._several: dict[Any, Several] = {}
+        self._places: dict[int, tuple[Several, int, Several]] = {}
+        self.outlined: dict[Any, Any] = {}  # functions that stay functions (`outlining`)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what is by the identity of objects, which others have elsewhere."""
+        return vars(self) | {"_places": {}, "outlined": {}}
 
     def const(self, value: Any, dtype: Any) -> int:
         dtype = np.dtype(dtype)
@@ -225,14 +230,20 @@ class Graph:
 
     def parts(self, function: Several, *args: int) -> list[int]:
         """The results of a function, which are computed together."""
-        content: Any = *function.graph._numbers, function.results, function.moving
-        function = self._several.setdefault(content, function)
-        which = list(self._several).index(content)
-        found = []
-        for k, result in enumerate(function.results):
-            node = Node("part", function.graph.dtype(result), args, (function, k))
-            found.append(self._number((*node[:3], which, k), node))
-        return found
+        return [self.part(function, k, args) for k in range(len(function.results))]
+
+    def part(self, function: Several, k: int, args: tuple[int, ...]) -> int:
+        """One of the results of a function."""
+        known = self._places.get(id(function))
+        if known is None:  # equal functions are one
+            content: Any = *function.graph._numbers, function.results, function.moving
+            one = self._several.setdefault(content, function)
+            which = list(self._several).index(content)
+            # With the function itself, so that nothing else comes to have its number.
+            known = self._places[id(function)] = one, which, function
+        one, which, _ = known
+        node = Node("part", one.graph.dtype(one.results[k]), args, (one, k))
+        return self._number((*node[:3], which, k), node)
 
     def _inlined(self, function: Function, args: tuple[int, ...]) -> int:
         found: dict[int, int] = {}
@@ -262,8 +273,7 @@ class Graph:
         if node.op == "table":
             return self.table(node.data, *args)
         if node.op == "part":
-            function, k = node.data
-            return self.parts(function, *args)[k]
+            return self.part(*node.data, args)
         if node.op in ("convert", "bitcast"):
             return getattr(self, node.op)(args[0], node.dtype)
         return self.op(node.op, *args)
@@ -396,8 +406,12 @@ class Graph:
         needed = bytearray(max(roots, default=-1) + 1)
         for number in roots:
             needed[number] = True
+        last: tuple[int, ...] = ()  # the results of a function share their arguments
         for number in range(len(needed) - 1, -1, -1):
             if needed[number]:
-                for a in self.nodes[number].args:
-                    needed[a] = True
+                args = self.nodes[number].args
+                if args is not last:
+                    for a in args:
+                        needed[a] = True
+                    last = args
         return np.flatnonzero(np.frombuffer(needed, bool)).tolist()

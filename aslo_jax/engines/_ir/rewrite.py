@@ -18,11 +18,14 @@ def rebuilt(
     """The nodes that `roots` need, with some replaced by `new` ones, or by what `other`
     makes of one and of what has been found before it: from the old to the new."""
     found = dict(new)
+    old, now = (), ()  # the results of a function share their arguments
     for number in graph.reachable(list(roots)):
         if number not in found:
             args, made = graph.nodes[number].args, other(number, found)
             if made is None:
-                made = graph.again(number, tuple(found[a] for a in args))
+                if args is not old or not args:
+                    old, now = args, tuple(found[a] for a in args)
+                made = graph.again(number, now)
             found[number] = made
     return found
 

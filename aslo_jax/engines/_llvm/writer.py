@@ -20,6 +20,7 @@ TYPES = {
     "uint8": "i8",
     "bool": "i1",
 }
+BY_TYPE = {np.dtype(name): kind for name, kind in TYPES.items()}
 # Products may be fused with sums; NaN and infinity keep their meaning, and a zero its sign:
 # without it (nsz), 0.5 to 1 % faster, the sign would depend on the lanes of a kernel.
 FLAGS = "contract arcp "
@@ -77,7 +78,7 @@ class Writer:
     # -- types and constants -------------------------------------------------------------
 
     def type(self, dtype: Any, vector: bool) -> str:
-        scalar = TYPES[np.dtype(dtype).name]
+        scalar = BY_TYPE[np.dtype(dtype)]
         return f"<{self.width} x {scalar}>" if vector else scalar
 
     def stored(self, dtype: Any, vector: bool) -> str:

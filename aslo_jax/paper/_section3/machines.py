@@ -2,8 +2,6 @@
 
 from typing import NamedTuple, get_args
 
-import diffrax
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -11,11 +9,12 @@ from jaxtyping import Array, Float
 from ..._choices import Winding
 from ..._completions import LeastSquares
 from ..._filters import LowPass
+from ..._module import Module
 from ..._simulate import Simulation, simulate
 from ...observers import BearingObserver, SelfConsistent
 from ...plants import WRIM, InteriorPMSM, MachineState, MagneticBearing, Stepper
+from .._batch import batch, solved, tight
 from . import settings as s
-from .pmsm import tight
 from .prescribed import PrescribedBearing, PrescribedMachine
 
 WINDINGS: dict[str, slice] = {"stator": slice(0, 2), "rotor": slice(2, 4)}
@@ -69,24 +68,46 @@ def shorted_rotor(printed: s.Printed) -> Simulation:
         jnp.array([0.4, -0.2, 0.5, 0.1]), jnp.array(2.0), jnp.array(0.3)
     )
     ts = np.append(np.arange(1001) * 1e-3, 1.0 + np.arange(1, 901) * 1e-2)
-    run = jax.jit(
+    return solved(
         lambda: simulate(
             machine,
             supply,
             observers,
             t1=float(ts[-1]),
-            ts=jnp.asarray(ts),
+            ts=ts,
             initial=energised,
             **tight(),
         )
-    )()
-    return jax.tree.map(np.asarray, run)
+    )
 
 
 def winding_error(run: Simulation, name: str) -> np.ndarray:
     """The size of the flux error (Wb) of the winding that `name` begins with."""
     part = WINDINGS[name.split(",")[0]]
     return np.linalg.norm(run.estimates[name].value - run.hidden[..., part], axis=-1)
+
+
+class Fed(Module):
+    """Both windings of a WRIM fed with currents that turn with the fluxes, their amplitudes
+    and the speed modulated by `depth`."""
+
+    depth: Float[Array, ""]
+
+    def angle(self, t: Float[Array, ""]) -> Float[Array, ""]:
+        """Mechanical (rad)."""
+        return 0.75 * t + 0.2 * self.depth * jnp.sin(t) + 0.3
+
+    def current(self, t: Float[Array, ""]) -> Float[Array, " 4"]:
+        """Of the windings (A)."""
+        a, b = 4.0 * t + 0.2, 2.5 * t - 0.4
+        stator = 3.0 + 0.9 * self.depth * jnp.sin(2 * t)
+        rotor = 2.0 + 0.6 * self.depth * jnp.cos(3 * t)
+        return jnp.concatenate(
+            [
+                stator * jnp.stack([jnp.cos(a), jnp.sin(a)]),
+                rotor * jnp.stack([jnp.cos(b), jnp.sin(b)]),
+            ]
+        )
 
 
 def modulation(printed: s.Printed) -> Simulation:
@@ -96,20 +117,8 @@ def modulation(printed: s.Printed) -> Simulation:
     machine = wrim()
 
     def one(depth):
-        def current(t):
-            a, b = 4.0 * t + 0.2, 2.5 * t - 0.4
-            stator = 3.0 + 0.9 * depth * jnp.sin(2 * t)
-            rotor = 2.0 + 0.6 * depth * jnp.cos(3 * t)
-            return jnp.concatenate(
-                [
-                    stator * jnp.stack([jnp.cos(a), jnp.sin(a)]),
-                    rotor * jnp.stack([jnp.cos(b), jnp.sin(b)]),
-                ]
-            )
-
-        motion = PrescribedMachine(
-            machine, lambda t: 0.75 * t + 0.2 * depth * jnp.sin(t) + 0.3, current
-        )
+        fed = Fed(depth)
+        motion = PrescribedMachine(machine, fed.angle, fed.current)
         relations = {
             "as printed": printed.winding(machine, "rotor"),
             "corrected": machine.flux_relation("rotor"),
@@ -118,12 +127,10 @@ def modulation(printed: s.Printed) -> Simulation:
             name: printed.aslo(r, start="exact", completion=LeastSquares())
             for name, r in relations.items()
         }
-        ts = jnp.linspace(0.0, 10.0, 501)
-        return simulate(
-            motion, motion.voltage, observers, t1=10.0, ts=ts, **graded(0.01, 10.0)
-        )
+        ts = np.linspace(0.0, 10.0, 501)
+        return simulate(motion, motion.voltage, observers, t1=10.0, ts=ts, **tight())
 
-    return jax.tree.map(np.asarray, jax.jit(jax.vmap(one))(jnp.asarray(DEPTHS)))
+    return batch(one, DEPTHS)
 
 
 def relative_by_depth(run: Simulation, name: str) -> np.ndarray:
@@ -135,20 +142,6 @@ def relative_by_depth(run: Simulation, name: str) -> np.ndarray:
     return error.max(axis=1) / np.linalg.norm(flux, axis=-1).max(axis=1)
 
 
-def graded(step: float, t1: float) -> dict:
-    """Options of `simulate` for batches up to `t1` (s): steps of `step` seconds, after
-    shorter ones at first, where certificates and with them corrections rise from zero."""
-    first = step * 1.05 ** np.arange(-160.0, 0.0)
-    steps = np.append(first, np.full(int(t1 / step) + 1, step))
-    ends = np.append(0.0, np.cumsum(steps))
-    ends = np.append(ends[ends < t1 - 1e-9], t1)
-    return dict(
-        solver=diffrax.Dopri8(),
-        stepsize_controller=diffrax.StepTo(jnp.asarray(ends)),
-        adjoint=diffrax.ForwardMode(),  # compiles faster
-    )
-
-
 class Salient(NamedTuple):
     """The size of the flux error (Wb) of both forms, shape (ratios, angles, instants)."""
 
@@ -157,13 +150,33 @@ class Salient(NamedTuple):
     consistent: np.ndarray
 
 
-def salient() -> Salient:
+class Spinning(Module):
     """An interior PMSM at about 150 rad/s (electrical) under a current of `1 + sin 9 t` A
-    that turns with the rotor, but knows nothing of the angle at which the rotor started:
-    the current is `ANGLES` away from the d axis. For each of `RATIOS` and `ANGLES`."""
-    ts = jnp.linspace(0.0, 1.2, 241)
+    that turns with the rotor, `ahead` (rad) of its d axis."""
 
-    def one(ratio, ahead):
+    ahead: Float[Array, ""]
+
+    def frame(self, t: Float[Array, ""]) -> Float[Array, ""]:
+        """Of the current (rad, electrical)."""
+        return 5 * (30 * t + 0.5 * (1 - jnp.cos(t)))
+
+    def angle(self, t: Float[Array, ""]) -> Float[Array, ""]:
+        """Mechanical (rad)."""
+        return (self.frame(t) - self.ahead) / 5
+
+    def current(self, t: Float[Array, ""]) -> Float[Array, " 2"]:
+        """Of the windings (A)."""
+        a = self.frame(t)
+        return (1.0 + jnp.sin(9 * t)) * jnp.stack([jnp.cos(a), jnp.sin(a)])
+
+
+def salient() -> Salient:
+    """The current of a [`Spinning`][] machine knows nothing of the angle at which the rotor
+    started: it is `ANGLES` away from the d axis. For each of `RATIOS` and `ANGLES`."""
+    ts = np.linspace(0.0, 1.2, 241)
+
+    def one(each):
+        ratio, ahead = each
         machine = InteriorPMSM(
             resistance=8.875,
             direct_inductance=LQ / ratio,
@@ -173,14 +186,8 @@ def salient() -> Salient:
             inertia=60e-6,
         )
 
-        def frame(t):  # of the current: electrical, known
-            return 5 * (30 * t + 0.5 * (1 - jnp.cos(t)))
-
-        def current(t):
-            a = frame(t)
-            return (1.0 + jnp.sin(9 * t)) * jnp.stack([jnp.cos(a), jnp.sin(a)])
-
-        motion = PrescribedMachine(machine, lambda t: (frame(t) - ahead) / 5, current)
+        spinning = Spinning(ahead)
+        motion = PrescribedMachine(machine, spinning.angle, spinning.current)
         observers = {
             "dropped": s.aslo(
                 machine.flux_relation(), SALIENT_RATE, "exact", LeastSquares()
@@ -192,15 +199,13 @@ def salient() -> Salient:
                 jnp.zeros(2),
             ),
         }
-        run = simulate(
-            motion, motion.voltage, observers, t1=1.2, ts=ts, **graded(2e-3, 1.2)
-        )
+        run = simulate(motion, motion.voltage, observers, t1=1.2, ts=ts, **tight())
         return [jnp.linalg.norm(run.error(name), axis=1) for name in observers]
 
     ratios, angles = np.meshgrid(RATIOS, ANGLES, indexing="ij")
-    found = jax.jit(jax.vmap(one))(ratios.ravel(), angles.ravel())
-    dropped, consistent = (np.asarray(x).reshape(*ratios.shape, -1) for x in found)
-    return Salient(np.asarray(ts), dropped, consistent)
+    found = batch(one, (ratios.ravel(), angles.ravel()))
+    dropped, consistent = (x.reshape(*ratios.shape, -1) for x in found)
+    return Salient(ts, dropped, consistent)
 
 
 def bearing() -> Simulation:
@@ -220,13 +225,12 @@ def bearing() -> Simulation:
         )
         for name, completion in completions.items()
     }
-    ts = jnp.linspace(0.0, 0.4, 801)
-    run = jax.jit(
+    ts = np.linspace(0.0, 0.4, 801)
+    return solved(
         lambda: simulate(
             motion, motion.voltage, observers, t1=0.4, ts=ts, **tight(atol=1e-14)
         )
-    )()
-    return jax.tree.map(np.asarray, run)
+    )
 
 
 def stepper(printed: s.Printed) -> Simulation:
@@ -242,10 +246,9 @@ def stepper(printed: s.Printed) -> Simulation:
         "ASLO": printed.aslo(relation),
         "ASLO exact": printed.aslo(relation, start="exact", completion=LeastSquares()),
     }
-    ts = jnp.linspace(0.0, 5.0, 501)
-    run = jax.jit(
+    ts = np.linspace(0.0, 5.0, 501)
+    return solved(
         lambda: simulate(
             motion, motion.voltage, observers, t1=5.0, ts=ts, **tight(atol=1e-14)
         )
-    )()
-    return jax.tree.map(np.asarray, run)
+    )

@@ -9,7 +9,7 @@ import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
-import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +19,7 @@ from ... import random
 from ..._completions import LeastSquares
 from ..._experiment import Experiment
 from ..._filters import LowPass
+from ..._module import Module
 from ..._realise import Pass
 from ..._relations import swap
 from ..._replay import replay
@@ -28,7 +29,7 @@ from ...control import FieldOriented, MotorFeedback
 from ...disturbances import SampledNoise
 from ...observers import AbstractObserver, AlgebraicMagnet, Estimate
 from ...plants import PMSM, FluxRelation, MachineState
-from .._batch import one_by_one
+from .._batch import batch, solved, tight
 from . import settings as s
 from .prescribed import PrescribedMachine
 
@@ -111,28 +112,34 @@ def closed_loop(beside: dict[str, AbstractObserver], t1: float = s.SPAN) -> Simu
     plant = s.motor()
     coarse = np.arange(1, round(100 * (t1 - 1.0)) + 1) * 1e-2
     ts = np.append(np.arange(1001) * 1e-3, 1.0 + coarse)
-    run = jax.jit(
+    return solved(
         lambda: simulate(
             plant,
             control(plant, s.reference),
             beside,
             t1=t1,
-            ts=jnp.asarray(ts),
+            ts=ts,
             feedback=encoder,
             **tight(),
         )
-    )()
-    return jax.tree.map(np.asarray, run)
-
-
-def tight(rtol: float = 1e-9, atol: float = 1e-12) -> dict:
-    """Options of `simulate`: filter states are tiny at first and count all the same."""
-    return dict(
-        solver=diffrax.Dopri8(),
-        stepsize_controller=diffrax.PIDController(rtol=rtol, atol=atol),
-        max_steps=1_000_000,
-        adjoint=diffrax.ForwardMode(),  # compiles faster
     )
+
+
+class Turning(Module):
+    """A motor with `pole_pairs` at a steady mechanical `speed` (rad/s), under a current of
+    1 A on the torque axis."""
+
+    speed: Float[Array, ""]
+    pole_pairs: int = eqx.field(static=True)
+
+    def angle(self, t: Float[Array, ""]) -> Float[Array, ""]:
+        """Mechanical (rad)."""
+        return self.speed * t + 0.06
+
+    def current(self, t: Float[Array, ""]) -> Float[Array, " 2"]:
+        """Of the windings (A)."""
+        electrical = self.pole_pairs * self.angle(t)
+        return jnp.stack([-jnp.sin(electrical), jnp.cos(electrical)])
 
 
 def steady(printed: s.Printed) -> Simulation:
@@ -148,17 +155,12 @@ def steady(printed: s.Printed) -> Simulation:
     }
 
     def one(speed):
-        def angle(t):
-            return speed * t + 0.06
-
-        def current(t):
-            return jnp.stack([-jnp.sin(n * angle(t)), jnp.cos(n * angle(t))])
-
-        motion = PrescribedMachine(plant, angle, current)
-        ts = jnp.linspace(0.0, 8.0, 81)
+        motor = Turning(speed, n)
+        motion = PrescribedMachine(plant, motor.angle, motor.current)
+        ts = np.linspace(0.0, 8.0, 81)
         return simulate(motion, motion.voltage, beside, t1=8.0, ts=ts, **tight())
 
-    return one_by_one(one, jnp.array(STEADY_SPEEDS))
+    return batch(one, jnp.array(STEADY_SPEEDS))
 
 
 REVERSAL = {

@@ -1,5 +1,6 @@
 """Every experiment of the section, run."""
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -25,16 +26,18 @@ class Runs(NamedTuple):
 
 
 def run_all(printed: Printed) -> Runs:
-    """All experiments on the given observers."""
-    return Runs(
-        printed,
-        pmsm.closed_loop(pmsm.observers(printed)),
-        pmsm.steady(printed),
-        pmsm.reversal(printed),
-        pmsm.fo1_growth(printed),
-        machines.shorted_rotor(printed),
-        machines.modulation(printed),
-        machines.salient(),
-        machines.bearing(),
-        machines.stepper(printed),
-    )
+    """All experiments on the given observers, two at a time: most of it is compiling."""
+    with ThreadPoolExecutor(2) as pool:
+        given = {
+            "closed": (pmsm.closed_loop, pmsm.observers(printed)),
+            "shorted": (machines.shorted_rotor, printed),
+            "reversal": (pmsm.reversal, printed),
+            "bearing": (machines.bearing,),
+            "steady": (pmsm.steady, printed),
+            "modulation": (machines.modulation, printed),
+            "salient": (machines.salient,),
+            "stepper": (machines.stepper, printed),
+            "growth": (pmsm.fo1_growth, printed),
+        }
+        runs = {name: pool.submit(*call) for name, call in given.items()}
+        return Runs(printed, **{name: run.result() for name, run in runs.items()})

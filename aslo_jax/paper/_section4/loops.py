@@ -1,18 +1,16 @@
 """The leg and the ball and beam in closed loop, in continuous time: the identities."""
 
-from collections.abc import Callable
 from typing import Any
 
-import diffrax
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..._simulate import Simulation, simulate
 from ..._structure import structure_of
 from ...observers import AbstractObserver
 from ...plants import AbstractMechanicalSystem
+from .._batch import batch, solved, tight
 from . import settings as s
 
 # From 1 ms on, so that "for all t > 0" is looked at where it is hardest.
@@ -34,21 +32,13 @@ def simulated(
         mechanism.controller(plant),
         observers,
         t1=s.SPAN,
-        ts=jnp.asarray(INSTANTS),
+        ts=INSTANTS,
         initial=mechanism.start,
         feedback=s.true_feedback,
-        solver=diffrax.Dopri8(),
-        stepsize_controller=diffrax.PIDController(rtol=1e-11, atol=1e-13),
         # P2 is driven by an estimate that does not exist yet at t = 0 itself: the first
         # step, which looks there, has to be short.
-        dt0=1e-9,
-        adjoint=diffrax.ForwardMode(),  # compiles faster
+        **tight(1e-11, 1e-13, first=1e-9),
     )
-
-
-def compiled(run: Callable[..., Simulation], *args) -> Simulation:
-    """A simulation as NumPy arrays."""
-    return jax.tree.map(np.asarray, jax.jit(run)(*args))
 
 
 def _asymptotic(printed: s.Printed, system, proposition: AbstractObserver):
@@ -84,7 +74,7 @@ def leg(printed: s.Printed) -> Simulation:
         "Prop. 4, F[1/z1]": printed.leg(system, s.RATE, "F[1/z1]"),
         **_asymptotic(printed, system, corrected),
     }
-    run = compiled(lambda: simulated(mechanism, observers))
+    run = solved(lambda: simulated(mechanism, observers))
     return _named(run, "Prop. 4, corrected")
 
 
@@ -93,7 +83,7 @@ def ball(printed: s.Printed) -> Simulation:
     mechanism = s.ball()
     proposition = printed.ball(mechanism.system, s.RATE)
     observers = _asymptotic(printed, mechanism.system, proposition)
-    return _named(compiled(lambda: simulated(mechanism, observers)), "Prop. 5")
+    return _named(solved(lambda: simulated(mechanism, observers)), "Prop. 5")
 
 
 def friction(printed: s.Printed) -> tuple[Simulation, Simulation]:
@@ -111,15 +101,14 @@ def friction(printed: s.Printed) -> tuple[Simulation, Simulation]:
         observers = {k: printed.aslo(system, form=form) for k, form in forms.items()}
         return simulated(mechanism, observers, system)
 
-    # Compiled once, for either weight.
-    one = jax.jit(run)
+    both = batch(run, np.array([0.0, 1.0]))
 
-    def without(name, weight):
-        found = compiled(one, jnp.asarray(weight))
+    def without(name, k):
+        found = jax.tree.map(lambda x: x[k], both)
         rest = {k: e for k, e in found.estimates.items() if k != name}
         return eqx.tree_at(lambda run: run.estimates, found, rest)
 
-    return without("bounded", 0.0), without("integrated", 1.0)
+    return without("bounded", 0), without("integrated", 1)
 
 
 def error(run: Simulation, name: str) -> np.ndarray:

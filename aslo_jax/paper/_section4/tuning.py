@@ -29,6 +29,7 @@ from ...observers import (
     VelocityObserver,
 )
 from ...plants import AbstractMechanicalSystem
+from .._batch import is_fused
 from . import settings as s
 from .records import (
     CASES,
@@ -149,10 +150,11 @@ def replayer(mechanism: s.Mechanism, contender: Contender) -> Replay:
     many records, to the errors, shape (lanes, N, n). Compiled once, since there are as many
     trials on the records of training as records of validation."""
     form, angles = structure_of(mechanism.system), mechanism.system.angles
+    engine = "fused" if is_fused() else "scan"
 
     def one(gains, system, u, y, velocity):
         observer = Unwrapped(contender.make(gains, system, form, y[0]), angles)
-        return replay(observer, INSTANTS, u, y, engine="scan").value - velocity
+        return replay(observer, INSTANTS, u, y, engine=engine).value - velocity
 
     return jax.jit(jax.vmap(one))
 
@@ -164,15 +166,15 @@ def _rms(errors) -> np.ndarray:
 def evaluate(run: Replay, gains, system, records: tuple[Array, ...]) -> np.ndarray:
     """The rms error of each of `gains`, shape (trials, n), over the given records."""
     count = records[0].shape[0]
-    lanes = jnp.repeat(jnp.asarray(gains), count, axis=0)
-    copies = tuple(jnp.tile(x, (len(gains), 1, 1)) for x in records)
+    lanes = np.repeat(np.asarray(gains), count, axis=0)  # NumPy, which compiles nothing
+    copies = tuple(np.tile(x, (len(gains), 1, 1)) for x in records)
     rms = _rms(run(lanes, copied(system, len(lanes)), *copies))
     return np.sqrt(np.mean(rms.reshape(len(gains), count, -1) ** 2, axis=1))
 
 
 def copied(system: AbstractMechanicalSystem, count: int) -> AbstractMechanicalSystem:
     """`count` of the same system, as one batch."""
-    return jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), system)
+    return jax.tree.map(lambda x: np.broadcast_to(x, (count, *x.shape)), system)
 
 
 def search(run: Replay, box: tuple[float, float], system, training) -> np.ndarray:
@@ -206,8 +208,8 @@ def tune(
     ]
     held_out = tuple(x[:, :VALIDATION].reshape(-1, *x.shape[2:]) for x in records)
     each = [copied(system, VALIDATION) for system in systems]
-    batch = jax.tree.map(lambda *x: jnp.concatenate(x), *each)
-    errors = run(jnp.repeat(jnp.array(gains), VALIDATION, axis=0), batch, *held_out)
+    batch = jax.tree.map(lambda *x: np.concatenate(x), *each)
+    errors = run(np.repeat(gains, VALIDATION, axis=0), batch, *held_out)
     errors = np.asarray(errors).reshape(len(CASES), VALIDATION, *errors.shape[1:])
     largest = np.abs(held_out[2]).max(axis=(0, 1))
     return {name: _tuned(gains[i], errors[i], largest) for i, name in enumerate(CASES)}
