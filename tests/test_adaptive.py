@@ -93,6 +93,7 @@ def test_it_finds_the_parameters_and_knows_how_well(varied):
     assert 0.5 < flux_claims(found, flux, slice(5000, None, 20)) < 2.0
 
 
+@pytest.mark.slow
 def test_what_a_transient_tells_is_claimed_as_it_is():
     """Where the current changes faster than it is smoothed for the slopes: slopes that lag
     tell what the samples do not, by 20 times in the squared errors of the parameters."""
@@ -242,6 +243,7 @@ def test_steps_are_a_replay_and_samples_may_be_missing():
     assert jnp.linalg.norm(estimate.value - whole.value[1025]) < 0.02 * M
 
 
+@pytest.mark.slow
 def test_the_fused_engine_does_the_same():
     pytest.importorskip("llvmlite")
     t, u, y, _ = record(turning, 1.3, 6)

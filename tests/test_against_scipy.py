@@ -120,6 +120,7 @@ def test_hold_weights_have_all_digits_where_their_series_ends(v):
     np.testing.assert_allclose(got.right, float(1 - p), rtol=5e-15)
 
 
+@pytest.mark.slow
 def test_the_paper_start_of_least_squares_with_a_state_matrix():
     """r and M have settled, by a linear system and a Lyapunov equation; v and b start at
     zero, by SciPy."""

@@ -343,7 +343,7 @@ def coil(sample, filter=None):
 SAMPLES = np.array([0.3, 0.5, 2.0]), np.array([3.0, 10.0, 40.0])
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_relation_with_a_rate_of_its_own_that_varies(order):
     """Its matrix exponential is compiled, and the systems that its start solves."""
     of_order = {1: None, 2: lambda rate: second_order(rate, 0.7)}[order]

@@ -140,6 +140,7 @@ def test_a_touch_down_bearing_pushes_and_never_pulls():
     np.testing.assert_allclose(run.x.position[-1], rest, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_everything_from_the_currents():
     ts = jnp.concatenate([jnp.array([0.02, 0.03]), jnp.linspace(0.05, 0.5, 19)])
     estimate = observe(observer(), MOTION.voltage, MOTION.current, ts)

@@ -164,6 +164,7 @@ def swing(kind, sample):
     return aslo.Experiment(plant, control, {}, 0.05, sensor=noise)
 
 
+@pytest.mark.slow
 def test_entries_of_an_array_and_of_a_dict_are_states_like_others():
     unknown, samples = {"stiffness": [0.1, 0.3], "damper.rate": 0.5}, np.array([0.8, 1.1])
     prior, process = jnp.full(4, 0.2), jnp.array([0.0, 0.1, 0.05, 0.2])

@@ -160,6 +160,7 @@ def test_a_log_that_shows_nothing_says_what_estimate_says(case, tmp_path, capsys
     assert content["warnings"][-1]["kind"] == "nothing_determined"
 
 
+@pytest.mark.slow
 def test_errors_to_be_fitted_stand_in_the_file_and_what_is_found_is_told(tmp_path, capsys):
     """An offset of the currents is found, is in no file, and is not said to be unchanged in
     one."""

@@ -107,6 +107,7 @@ def test_the_super_twisting_law_in_continuous_time():
     np.testing.assert_allclose(rate.states["position_velocity"], expected, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_extended_kalman_filter_of_a_mechanism():
     leg, start = SYSTEMS["leg"], STARTS["leg"]
     ekf = ExtendedKalman.of_mechanical(leg, 1.0, 1e-8, initial=start.position)

@@ -28,8 +28,8 @@ def blocks(text: str) -> list[tuple[str, str, int, int]]:
 
 
 LONG = (
-    *("batches", "calibration", "closed-loops", "continuous-time", "mechanical-systems"),
-    *("modelled-plants", "small-examples", "tuning"),
+    *("batches", "calibration", "closed-loops", "continuous-time", "conventions"),
+    *("mechanical-systems", "modelled-plants", "small-examples", "tuning"),
 )
 MARKED = [
     pytest.param(page, marks=[pytest.mark.slow] if page.stem in LONG else [])

@@ -36,7 +36,7 @@ def flux(record):
     return record.t, record.estimates["flux"].value, record.hidden
 
 
-@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.parametrize("noisy", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_fused_and_scan_agree(noisy):
     """1e-10 after a tenth of a second, noise, records and metrics included."""
     make = lambda s: motor_loop(s, noisy)
@@ -77,6 +77,7 @@ def test_the_scan_engine_runs_the_experiment():
             np.testing.assert_allclose(got, value, rtol=1e-9, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_the_order_is_that_of_the_integrator():
     """Against diffrax at 1e-12: the error of the plant falls by 16 with half the interval,
     under a voltage that is held no shorter."""
@@ -249,6 +250,7 @@ def loss(gains, engine):
 GAINS = jnp.array([30.0, 20.0])
 
 
+@pytest.mark.slow
 def test_forward_derivatives_are_those_of_scan():
     jacobian = lambda engine: jax.jacfwd(lambda g: loss(g, engine))(GAINS)
     (a, rows), (b, others) = jacobian("fused"), jacobian("scan")

@@ -183,6 +183,7 @@ def with_noise(log, noise, seed=5):
     return log | moved
 
 
+@pytest.mark.slow
 def test_both_windings_of_a_wrim(tmp_path):
     log = with_noise(held_logs.wrim(True, rows=4001), {"u": 0.5, "i": 0.02})
     write_table(tmp_path / "log.npz", log)

@@ -197,6 +197,7 @@ def test_sensorless_start_from_an_unknown_angle(sensorless_loop, angle):
     assert jnp.abs(record.x.speed - reference(record.t))[record.t > 4.0].max() < 0.1
 
 
+@pytest.mark.slow
 def test_sensorless_in_continuous_time():
     """The same start, the load coming in over 0.3 s, everything in one solve."""
     plant, start, observers, first = sensorless_start(
@@ -235,6 +236,7 @@ def test_a_lag_of_the_actuator_is_integrated_with_the_plant():
     np.testing.assert_allclose(record.x[-1, 1], x2, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_loop_is_one_pytree_to_map_and_to_differentiate():
     def loss(rate, resistance):
         experiment = measured_angle(plant_steps=1)

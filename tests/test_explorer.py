@@ -92,6 +92,7 @@ def test_every_default_is_within_its_limits():
         assert knobs.settings(found, {}) == {knob.key: knob.default for knob in found}
 
 
+@pytest.mark.slow
 def test_no_slider_compiles_and_every_one_changes_what_is_drawn(session):
     plain = State("pmsm", horizon=0.1)
     first = session.run(plain)

@@ -145,7 +145,10 @@ def chain(order):
     )
 
 
-@pytest.mark.parametrize("order", [3, 4, 5])
+@pytest.mark.parametrize(
+    "order",
+    [3, pytest.param(4, marks=pytest.mark.slow), pytest.param(5, marks=pytest.mark.slow)],
+)
 @pytest.mark.parametrize("completion", [*COMPLETIONS, "bank"])
 def test_chain_of_any_order(order, completion):
     solution = chain(order)

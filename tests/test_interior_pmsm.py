@@ -69,7 +69,7 @@ def test_without_the_d_current_the_error_is_linear_in_saliency_and_ripple():
     assert found[0] < 1e-9 and found[4] < 1e-9
 
 
-@pytest.mark.parametrize("ratio", [1.0, 1.4, 3.0])
+@pytest.mark.parametrize("ratio", [1.0, pytest.param(1.4, marks=pytest.mark.slow), 3.0])
 def test_the_error_of_a_dropped_term_grows_with_the_ratio(ratio):
     m, ts = motion(LQ / ratio), jnp.linspace(1.0, 2.0, 21)
     observer = aslo.AlgebraicObserver(m.machine.flux_relation(), aslo.LowPass(50.0))
@@ -104,7 +104,7 @@ def test_from_the_truth_it_stays_there():
     assert error(consistent(m, truth), m, ts, rtol=1e-10).max() < 1e-9
 
 
-@pytest.mark.parametrize("ratio", [1.5, 3.3])
+@pytest.mark.parametrize("ratio", [pytest.param(1.5, marks=pytest.mark.slow), 3.3])
 def test_a_start_that_is_forgotten_costs_no_more_than_the_saliency(ratio):
     """From the first certified instant on, to the truth at the rate of the filter; a start
     that is kept is left at the rate of the gain, from all of the flux."""

@@ -120,10 +120,11 @@ SETTINGS = {
 GRID = np.geomspace(1.0, 12.0, 250)
 
 
-SLOW = [pytest.param(n, marks=pytest.mark.slow) for n in ("worst", "CVaR", "settling")]
+LONGER = ("noise and transient", "worst", "CVaR", "settling")
+SLOW = [pytest.param(n, marks=pytest.mark.slow) for n in LONGER]
 
 
-@pytest.mark.parametrize("name", ["mean square", "noise and transient", *SLOW])
+@pytest.mark.parametrize("name", ["mean square", *SLOW])
 def test_tuned_point_is_the_best_of_a_fine_grid(name):
     loss, key = SETTINGS[name], aslo.random.key(4)
     on_grid = np.asarray(jax.jit(jax.vmap(lambda g: loss(g, key)))(jnp.asarray(GRID)))
@@ -164,6 +165,7 @@ def test_monte_carlo_finds_the_closed_form():
     np.testing.assert_allclose(found.validation, 5 / 3 * W / BEST, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_reverse_mode_has_the_same_gradient():
     loss, key = batch(losses.MeanSquare("A"), place, 4, 90), aslo.random.key(1)
     g = jnp.array([3.0, 2.0])

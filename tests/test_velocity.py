@@ -27,10 +27,12 @@ FAST = aslo.LowPass(5.0)
 LEG = SYSTEMS["leg"]
 
 
-SLOW = [pytest.param(n, marks=pytest.mark.slow) for n in ("cart", "pendulum", "wheel")]
+SLOW = [
+    pytest.param(n, marks=pytest.mark.slow) for n in ("ball", "cart", "pendulum", "wheel")
+]
 
 
-@pytest.mark.parametrize("name", ["ball", "leg", *SLOW])
+@pytest.mark.parametrize("name", ["leg", *SLOW])
 def test_exact_start(name):
     """Below 1e-8 from 10 ms on, without friction and with constant friction; the A-ASLO as
     well. Friction that is left out is seen."""
@@ -60,6 +62,7 @@ def damped(name, damping):
     return dataclasses.replace(SYSTEMS[name], damping=damping)
 
 
+@pytest.mark.slow
 def test_exact_start_of_three_stages():
     """A system given as functions, with five coordinates in three stages."""
     ts = jnp.array([0.01, 0.03, 0.1, 0.5, 2.0])
@@ -191,7 +194,7 @@ def experiment(name, observers, **settings):
     return loop.run(3000)
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", ["general", "leg", *SLOW])
 def test_sampled_at_a_kilohertz(name):
     """Held inputs: the median relative error of every velocity is below 1e-4."""
     run = experiment(name, {"o": velocity_observer(SYSTEMS[name], aslo.LowPass(10.0))})
@@ -200,6 +203,7 @@ def test_sampled_at_a_kilohertz(name):
     assert np.asarray(run.estimates["o"].coasting).tolist() == [True] + [False] * 3000
 
 
+@pytest.mark.slow
 def test_wrapped_angles_are_unwrapped():
     """An encoder that wraps, finely: the same estimates as without one, over turns."""
     sensor = Encoder(jnp.array([1e-9, 2e-9 * jnp.pi, 2e-9 * jnp.pi]), LEG.angles)
@@ -270,6 +274,7 @@ def test_the_identity_holds_for_any_leg(m1, m2, numbers):
     assert jnp.abs(error).max() < 1e-8
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.floats(0.5, 3.0), st.floats(1.0, 12.0), st.lists(number, min_size=5, max_size=5))
 def test_the_identity_holds_for_any_ball(length, gravity, numbers):
