@@ -60,12 +60,15 @@ class Goal(NamedTuple):
     - `fuses`: whether a product and a sum that may be rounded once are one operation;
     - `inverts`: whether what changes over time is multiplied by the inverse of what does
       not, rather than divided by it: many times as fast, and as right but for the last bit;
+    - `outlined`: of how many operations all evaluations of a function are, at least, that
+      stays a function (`outlining`);
     - `large`: of how many multiply-adds a product of matrices, or operations a function of
       an array, is one of loops; `many`: of how many entries such an array is, at least.
     """
 
     fuses: bool = True
     inverts: bool = False
+    outlined: int = 2000
     large: int = 1000
     many: int = 32
 
