@@ -82,7 +82,7 @@ def simulate(
       `diffrax.ForwardMode()` for forward gradients.
 
     Held disturbances jump at known instants: both engines step to them, never across. The
-    fused engine takes Tsitouras' pair of orders 5 and 4 down to a `rtol` of 1e-5 and
+    fused engine takes Tsitouras' pair of orders 5 and 4 down to a `rtol` of 2e-5 and
     Verner's of 9 and 8 below, with interpolants of orders 4 and 9 at `ts`; its |x| is the
     largest value that the state has had up to now.
 

@@ -42,7 +42,10 @@ class States(NamedTuple):
         pieces = jnp.split(x, ends) if leaves else []
         return jax.tree.unflatten(
             tree,
-            [p.reshape(s.shape).astype(s.dtype) for p, s in zip(pieces, leaves, strict=True)],
+            [
+                p.reshape(s.shape).astype(s.dtype)
+                for p, s in zip(pieces, leaves, strict=True)
+            ],
         )
 
     def _packed(self, tree: PyTree) -> Any:

@@ -98,7 +98,7 @@ def tsit5() -> Pair:
     return Pair("Tsit5", 5, 5, 7, stages, stages[6], error, dense, 0.07, 3.51)
 
 
-LOOSE = 1e-5  # tolerance from which on the pair of lower order takes less
+LOOSE = 2e-5  # tolerance from which on the pair of lower order takes less
 
 
 def pair_for(tolerance: float) -> Pair:

@@ -11,6 +11,7 @@ from .._frontend.lower import check_numbers, flatten
 from .._fused.program import Inputs, Program, flat, numbered, uncollected
 from .._ir.graph import Goal
 from .._ir.loop import Adaptive, Loop
+from .._runtime.host import target as of_host
 
 # Passes for what a step has in common with the next one, with all lanes, or with what is
 # fixed: of a step whose length varies that is little, and they take longer than all else.
@@ -47,7 +48,8 @@ def adaptive(
     check_numbers(inputs, "the samples have")
     begin, (carry, saving, kept) = make(bodies.begin, inputs)
     advance, (_, _, dense) = make(bodies.advance, carry, inputs, kept)
-    given = Inputs(carry, inputs, Goal(inverts=True))
+    target = choice.get("target") or of_host()
+    given = Inputs(carry, inputs, Goal(inverts=True, outlined=target.outlined))
     graph, size = given.graph, len(given.carry)
     begun = flatten(graph, begin, given.fixed)
     more = len(jax.tree.leaves(saving))

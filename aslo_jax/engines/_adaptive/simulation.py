@@ -89,7 +89,11 @@ def bodies(system: System, plan: Plan) -> Bodies:
     def begin(inputs):
         alike, rate = of(inputs["lane"])
         row = jnp.asarray(0, jnp.int64 if _wide() else jnp.int32)
-        return march.begin(rate, alike.start(inputs["lane"])), row if len(ts) else None, None
+        return (
+            march.begin(rate, alike.start(inputs["lane"])),
+            row if len(ts) else None,
+            None,
+        )
 
     def advance(carry, inputs, _):
         return march.step(of(inputs["lane"])[1], carry)
@@ -109,7 +113,9 @@ def bodies(system: System, plan: Plan) -> Bodies:
         outcome = Outcome(lane.code, lane.accepted, lane.rejected, stiff)
         if len(ts) == len(plan.ts):
             return outcome, None
-        return outcome, system.record(inputs["lane"], jnp.asarray(march.t1), alike.tree(lane.x))
+        return outcome, system.record(
+            inputs["lane"], jnp.asarray(march.t1), alike.tree(lane.x)
+        )
 
     return Bodies(begin, advance, finish, save if len(ts) else None)
 

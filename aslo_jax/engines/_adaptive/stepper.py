@@ -26,8 +26,8 @@ RUNNING, ENDED, DIVERGED = 0, 1, 2
 class Lane(NamedTuple):
     """Where a lane is: `code`, whether it runs, has ended at the last instant, or has come
     to a point from which no step leads on; t and x, the length h to be tried, the binary
-    logarithm of the last error over what is tolerated, and how many steps were `accepted` and how
-    many `rejected`."""
+    logarithm of the last error over what is tolerated, and how many steps were `accepted`
+    and how many `rejected`."""
 
     code: Int[Array, ""]
     t: Float[Array, ""]

@@ -11,9 +11,6 @@ from .._ir.several import Several
 
 NAME = "aslo_jax_outlined_"  # and a number, of a `jax.jit`
 MOVING = 2  # its last arguments, which change over time
-# Operations of all evaluations of a function from which on it is outlined: what a processor
-# keeps decoded (`Target`), less what is between them.
-LEAST = 2000
 
 
 class Outline(NamedTuple):
@@ -87,7 +84,7 @@ def _outline(
         if not own.isdisjoint(graph.nodes[number].args):
             own.add(number)
     results = [n for n in dict.fromkeys(outs) if n in own]
-    if len(own) * times < LEAST or not results:
+    if len(own) * times < graph.goal.outlined or not results:
         return None
     order = [n for n in needed if n in own]
     return Outline(found, results, *_extracted(graph, order, inputs, results))

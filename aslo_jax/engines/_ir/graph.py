@@ -58,14 +58,15 @@ class Goal(NamedTuple):
     """What a graph is made for.
 
     - `fuses`: whether a product and a sum that may be rounded once are one operation;
-    - `inverts`: whether what changes over time is multiplied by the inverse of what does
-      not, rather than divided by it: many times as fast, and as right but for the last bit;
+    - `inverts`: whether what moves is multiplied by the inverse of what is fixed over time;
+    - `outlined`: of how many operations all evaluations of one that stays a function are;
     - `large`: of how many multiply-adds a product of matrices, or operations a function of
       an array, is one of loops; `many`: of how many entries such an array is, at least.
     """
 
     fuses: bool = True
     inverts: bool = False
+    outlined: int = 2000
     large: int = 1000
     many: int = 32
 
@@ -283,10 +284,8 @@ class Graph:
         if number is None:
             number = self._numbers[key] = len(self.nodes)
             self.nodes.append(node)
-            moves = any(map(self._moves.__getitem__, node.args))
-            if node.op == "input":
-                moves, _ = node.varies([])
-            self._moves.append(moves)
+            moves = [(self._moves[a], False) for a in node.args]
+            self._moves.append(node.varies(moves)[0])
         return number
 
     def _simplified(self, op: str, args: tuple[int, ...], values: list[Any]) -> int | None:
@@ -333,11 +332,9 @@ class Graph:
                 normal = np.finfo(b.dtype).tiny
                 if normal <= abs(inverse) < np.inf and abs(b) >= normal:
                     return self.op("mul", x, self.const(inverse, b.dtype))
-            fixed = self._moves[x] and not self._moves[y] and b is None
+            fixed = b is None and self._moves[x] and not self._moves[y]
             if self.goal.inverts and fixed and not whole:
-                one = self.const(1, self.dtype(y))
-                return self.op("mul", x, self.op("div", one, y))
-            return None
+                return self.op("mul", x, self.op("div", self.const(1, self.dtype(y)), y))
         if op in ("and", "or") and x == y:
             return x
         if self.dtype(x) == BOOL and op in ("and", "or"):
