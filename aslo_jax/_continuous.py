@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from ._checks import function, kind, number, positive
-from ._experiment import Record
+from ._experiment import Experiment, Record
 from ._interconnection import Interconnection
 from ._jumps import between_jumps, span
 from ._module import Module
@@ -100,6 +100,9 @@ class ContinuousExperiment(Module, Generic[Est]):
         )
         assert solution.ys is not None
         return jax.tree.map(_nothing, solution.ys)
+
+
+AnyExperiment = Experiment[Any] | ContinuousExperiment[Any]
 
 
 def recorded(loop: Interconnection, t: Any, state: PyTree) -> Record[Any]:

@@ -82,6 +82,11 @@ def tune_study(
     being no parameter of the observer but one of its design.
     """
     configuration = configure(content, folder)
+    if not isinstance(configuration.experiment, Experiment):
+        raise ConfigurationError(
+            '`time` must be "sampled" for gains to be tuned, but is "continuous", where '
+            "the fused engine has no derivatives."
+        )
     keys = _keys(content, configuration, gains, folder)
     found = {}
     for name, named in keys.items():
@@ -285,6 +290,7 @@ def compared(
 def _alone(configuration: Configuration, name: str) -> Experiment:
     """The experiment with one observer, unless the spread reaches for others."""
     loop = configuration.experiment
+    assert isinstance(loop, Experiment)
     wheres = [p.where for p in configuration.spread.parameters.values()]
     if any("observers" in str(where) for where in wheres):
         return loop
@@ -293,7 +299,7 @@ def _alone(configuration: Configuration, name: str) -> Experiment:
 
 
 def _placed(
-    loop: Experiment, name: str, places: Mapping[str, list[int]], gains: Mapping[str, Any]
+    loop: Any, name: str, places: Mapping[str, list[int]], gains: Mapping[str, Any]
 ) -> Experiment:
     leaves, tree = jax.tree.flatten(loop.observers[name])
     for key, found in places.items():

@@ -20,8 +20,8 @@ from .._checks import (
     unlike,
     whole,
 )
-from .._continuous import ContinuousExperiment
-from .._experiment import Experiment, Record
+from .._continuous import AnyExperiment, ContinuousExperiment
+from .._experiment import Record
 from .._module import WIDTH
 from .._typing import Engine, PyTree, RunningEngine
 from ..metrics import AbstractMetric
@@ -66,7 +66,7 @@ class Runner:
 
     def __init__(
         self,
-        make: Callable[[PyTree], Experiment[Any]],
+        make: Callable[[PyTree], AnyExperiment],
         like: PyTree,
         steps: SupportsIndex,
         *,
@@ -204,7 +204,7 @@ class Runner:
 
 
 def run_batch(
-    make: Callable[[PyTree], Experiment[Any]],
+    make: Callable[[PyTree], AnyExperiment],
     parameters: PyTree,
     steps: SupportsIndex,
     *,
@@ -258,7 +258,7 @@ def run_batch(
 
 
 def _metrics(
-    make: Callable[[PyTree], Experiment[Any]],
+    make: Callable[[PyTree], AnyExperiment],
     like: PyTree,
     metrics: Mapping[str, MakeMetric],
 ) -> dict[str, AbstractMetric]:

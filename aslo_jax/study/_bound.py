@@ -121,7 +121,8 @@ def cramer_rao(
     Sources: Tichavsky, Muravchik, Nehorai 1998, doi:10.1109/78.668800; Taylor 1979,
     doi:10.1109/TAC.1979.1101979, for the bound along a trajectory.
 
-    **Raises:** `ValueError` in single precision, for a sensor without noise, for
+    **Raises:** `ValueError` in single precision, for a [`ContinuousExperiment`][], for a
+    sensor without noise, for
     `"information"` without noise on every state, which parameters never have, and for
     `unknown` ones that the plant does not have, or that are zero.
     """

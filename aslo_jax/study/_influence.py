@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .. import random
-from .._experiment import Experiment
+from .._continuous import AnyExperiment
 from .._typing import Engine
 from ..engines import Runner
 from ..metrics._base import MakeMetric, metric_of
@@ -19,7 +19,7 @@ _LEAST, _MOST = 1e-12, 1e12
 
 
 def influences(
-    experiment: Experiment,
+    experiment: AnyExperiment,
     spread: Spread,
     metric: MakeMetric,
     steps: int,

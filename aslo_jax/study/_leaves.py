@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import random
-from .._experiment import Experiment
+from .._continuous import AnyExperiment
 from .._module import Module
 
-Where = str | Callable[[Experiment], Any]
+Where = str | Callable[[AnyExperiment], Any]
 
 
 class Place(NamedTuple):
@@ -32,7 +32,7 @@ class Layout:
     Where the experiment starts at the plant's default state, that state has paths too.
     """
 
-    def __init__(self, experiment: Experiment) -> None:
+    def __init__(self, experiment: AnyExperiment) -> None:
         self.experiment = experiment
         self.default_start = experiment.initial is None
         if self.default_start:
@@ -109,7 +109,7 @@ class Layout:
         except ValueError:
             return ()
 
-    def _by_call(self, where: Callable[[Experiment], Any]) -> tuple[Place, ...]:
+    def _by_call(self, where: Callable[[AnyExperiment], Any]) -> tuple[Place, ...]:
         marks = [_Mark(i, ()) for i in range(len(self.leaves))]
         found = where(jax.tree_util.tree_unflatten(self.tree, marks))
         found = found if isinstance(found, tuple | list) else (found,)
@@ -134,13 +134,13 @@ class Changed(Module):
 
     The default state of the plant is that of the changed plant, changed in turn."""
 
-    experiment: Experiment
+    experiment: AnyExperiment
     layout: Layout = eqx.field(static=True)
     places: tuple[tuple[Place, ...], ...] = eqx.field(static=True)
     relative: tuple[bool, ...] = eqx.field(static=True)
     keys: tuple[int, ...] = eqx.field(static=True)
 
-    def __call__(self, sample: dict[str, Any]) -> Experiment:
+    def __call__(self, sample: dict[str, Any]) -> AnyExperiment:
         started_here = [
             any(self._of_start(place) for place in places) for places in self.places
         ]
@@ -163,10 +163,10 @@ class Changed(Module):
             self._set(leaves, k, sample, [p for p in places if self._of_start(p)])
         return self._experiment(leaves)
 
-    def _complete(self, experiment: Experiment) -> Experiment:
+    def _complete(self, experiment: AnyExperiment) -> AnyExperiment:
         return started(experiment) if self.layout.default_start else experiment
 
-    def _experiment(self, leaves: list[Any]) -> Experiment:
+    def _experiment(self, leaves: list[Any]) -> AnyExperiment:
         return jax.tree_util.tree_unflatten(self.layout.tree, leaves)
 
     def _of_start(self, place: Place) -> bool:
@@ -201,7 +201,7 @@ _threefry = jax.jit(random.threefry)
 _folded = jax.jit(jax.vmap(random.fold, (None, 0)))
 
 
-def started(experiment: Experiment) -> Experiment:
+def started(experiment: AnyExperiment) -> AnyExperiment:
     """The experiment with the plant's default state as its own."""
     state = jax.tree.map(jnp.asarray, experiment.plant.initial())
     return dataclasses.replace(experiment, initial=state)

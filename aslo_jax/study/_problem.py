@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._experiment import Experiment, Record
+from .._continuous import AnyExperiment
+from .._experiment import Record
 from .._module import Module
 from .._typing import Engine
 from ..engines import Runner
@@ -37,7 +38,7 @@ class Problem:
     """Everything that decides the numbers of a study; it can be sent to other processes.
     Fields are as in [`run`][]."""
 
-    experiment: Experiment
+    experiment: AnyExperiment
     spread: Spread
     samples: int
     seed: int
@@ -218,7 +219,7 @@ class Study:
         }
 
 
-def _hidden(experiment: Experiment) -> Float[Array, " n"]:
+def _hidden(experiment: AnyExperiment) -> Float[Array, " n"]:
     """What is estimated, at the start."""
     start = experiment.initial
     start = experiment.plant.initial() if start is None else start

@@ -10,10 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from .. import random
+from .._continuous import AnyExperiment
 from .._experiment import Experiment
 from .._typing import PyTree
 from ..disturbances import Chain, SampledNoise
 from ._bound import Bound, both_bounds, cramer_rao, with_bound
+from ._leaves import started
 from ._spread import Sampler, Spread
 
 if TYPE_CHECKING:
@@ -30,6 +32,8 @@ def has_bound(configuration: "Configuration") -> bool:
     that is sampled, and an rms error among the metrics."""
     from ..machines import studies  # with pydantic, which `bound_of` does without
 
+    if not isinstance(configuration.experiment, Experiment):
+        return False  # it is one of samples
     sensor = configuration.experiment.sensor
     parts = sensor.parts if isinstance(sensor, Chain) else (sensor,)
     noisy = any(isinstance(part, SampledNoise) for part in parts)
@@ -38,7 +42,7 @@ def has_bound(configuration: "Configuration") -> bool:
 
 
 def bound_of(
-    experiment: Experiment,
+    experiment: AnyExperiment,
     spread: Spread,
     steps: int,
     *,
@@ -64,17 +68,17 @@ def bound_of(
 
 
 def _trajectories(
-    experiment: Experiment, spread: Spread, key: random.KeyLike, count: int
-) -> tuple[Callable[[PyTree], Experiment], PyTree, PyTree]:
+    experiment: AnyExperiment, spread: Spread, key: random.KeyLike, count: int
+) -> tuple[Callable[[PyTree], Any], PyTree, PyTree]:
     """The experiments without observers, their first samples, and what is known of the
     start."""
     sampler = Sampler(experiment, spread, random.seed_of(key), count)
     samples = sampler(np.arange(count), sampler.values(0, count))
 
-    def make(sample: Any) -> Experiment:
+    def make(sample: Any) -> AnyExperiment:
         return dataclasses.replace(sampler.make(sample), observers={})
 
-    state = jax.eval_shape(lambda: experiment.init()[0].x)
+    state = jax.eval_shape(lambda: started(experiment).initial)
     return make, samples, jax.tree.map(lambda x: jnp.full(x.shape, _PRIOR), state)
 
 
@@ -84,7 +88,7 @@ def _over(bound: Bound, scale: Float[np.ndarray, " n"] | None) -> Bound:
     return dataclasses.replace(bound, variance=bound.variance / scale**2)
 
 
-def unknown_in(experiment: Experiment, spread: Spread) -> dict[str, np.ndarray]:
+def unknown_in(experiment: AnyExperiment, spread: Spread) -> dict[str, np.ndarray]:
     """The parameters of the plant that a spread varies and the observers do not know, with
     the deviation of each relative to its mean, shaped like it: the `unknown` of
     [`bound_of`][].
@@ -114,6 +118,7 @@ def with_reference(dataset: Any, configuration: "Configuration", seed: int) -> A
     if not has_bound(configuration):
         return dataset
     experiment, spread = configuration.experiment, configuration.spread
+    assert isinstance(experiment, Experiment)
     names, unknown = unknown_in(experiment, spread), None
     make, samples, prior = _trajectories(experiment, spread, random.key(seed), TRAJECTORIES)
     parts, scale = (make, samples, configuration.steps), configuration.scale

@@ -9,7 +9,8 @@ import numpy as np
 
 from .. import random
 from .._checks import counted
-from .._experiment import Experiment, Record
+from .._continuous import AnyExperiment
+from .._experiment import Record
 from .._simulate import Simulation
 from .._typing import Engine
 from ..engines import Runner
@@ -35,7 +36,7 @@ class Rerun(NamedTuple):
 
 
 def rerun(
-    experiment: Experiment,
+    experiment: AnyExperiment,
     spread: Spread | Mapping[str, Parameter | tuple[Any, AbstractDistribution]],
     *,
     samples: int,

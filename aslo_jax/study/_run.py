@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .. import random
-from .._experiment import Experiment
+from .._continuous import AnyExperiment
 from .._extras import require
 from .._typing import Engine
 from ..metrics._base import MakeMetric
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def run(
-    experiment: Experiment,
+    experiment: AnyExperiment,
     spread: Spread | Mapping[str, Parameter | tuple[Any, AbstractDistribution]],
     *,
     samples: int,
@@ -228,7 +228,7 @@ def _chunk(chunk: int | None, store: str | Path | None, resume: bool) -> int:
     return CHUNK
 
 
-def steps_of(experiment: Experiment, steps: int | None, horizon: float | None) -> int:
+def steps_of(experiment: AnyExperiment, steps: int | None, horizon: float | None) -> int:
     """The number of intervals, as given or in the `horizon` (s)."""
     if (steps is None) == (horizon is None):
         raise ValueError("One of the arguments `steps` and `horizon` must be given.")

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._experiment import Experiment
+from .._continuous import AnyExperiment
 from .._typing import DesignName
 from ._designs import DESIGNS, Design, make_design
 from ._distributions import AbstractDistribution
@@ -81,7 +81,7 @@ class Sampler:
     """
 
     def __init__(
-        self, experiment: Experiment, spread: Spread, seed: int, samples: int
+        self, experiment: AnyExperiment, spread: Spread, seed: int, samples: int
     ) -> None:
         layout = Layout(experiment)
         self.names: list[str] = []

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._continuous import ContinuousExperiment
 from .._module import Module
 from .._typing import PyTree
 from ..plants import AbstractPlant
@@ -65,13 +66,19 @@ def unknown_of(
     given: Mapping[str, Any] | None, make: Callable[[PyTree], Any], samples: PyTree
 ) -> Unknown:
     """Those that are `given`, with deviations shaped like their leaves; checked against the
-    plants of all samples."""
+    plants of all samples, whose experiments must have samples in time."""
+    first = jax.tree.map(lambda x: x[0], samples)
+    if isinstance(eqx.filter_eval_shape(make, first), ContinuousExperiment):
+        raise ValueError(
+            "Argument `make` must give an `Experiment`, but gives a "
+            "`ContinuousExperiment`: the bound is one of samples in time."
+        )
     given = dict(given or {})
     found = Unknown(tuple(given), tuple(jnp.asarray(d, float) for d in given.values()))
     if not given:
         return found
     plant = lambda sample: make(sample).plant
-    one = eqx.filter_eval_shape(plant, jax.tree.map(lambda x: x[0], samples))
+    one = eqx.filter_eval_shape(plant, first)
     deviations = []
     for name, deviation in zip(found.names, found.deviations, strict=True):
         leaf = _leaf(one, name)

@@ -25,7 +25,7 @@ class Plan(Module):
     """The loop of one sample: its state is the experiment's carry and that of the metrics,
     its output what is kept of a record."""
 
-    make: Callable[[PyTree], Experiment[Any]]
+    make: Callable[[PyTree], Any]
     metrics: dict[str, AbstractMetric]
     record: Callable[[Record[Any]], PyTree] | None
 

@@ -274,7 +274,8 @@ class Graph:
         if node.op == "table":
             return self.table(node.data, *args)
         if node.op == "part":
-            return self.part(*node.data, args)
+            function, k = node.data
+            return self.part(function, k, args)
         if node.op in ("convert", "bitcast"):
             return getattr(self, node.op)(args[0], node.dtype)
         return self.op(node.op, *args)

@@ -19,10 +19,12 @@ SEVERAL = "a finite number that is not negative, or one for each entry of the si
 
 
 class AbstractDisturbanceTable(Table, abc.ABC):
-    """A disturbance; `places` are where it may stand."""
+    """A disturbance; `places` are where it may stand, `sampled` why it needs samples, where
+    it does."""
 
     kind: Any
     places: ClassVar[tuple[str, ...]] = ("sensor", "input_sensor", "actuator")
+    sampled: ClassVar[str | None] = None
 
     @abc.abstractmethod
     def build(self, interval: float, stream: int) -> AbstractDisturbance:
@@ -92,6 +94,8 @@ class QuantisationTable(AbstractDisturbanceTable):
         "its steps", allowed="a positive finite number, or one for each entry"
     )
 
+    sampled = "its steps come at instants that no solver knows"
+
     def build(self, interval: float, stream: int) -> AbstractDisturbance:
         return disturbances.Quantisation(jnp.asarray(self.step, float))
 
@@ -110,6 +114,7 @@ class EncoderTable(AbstractDisturbanceTable):
     angles: list[bool] = key("which of them turn, within one turn (rad)", default=[])
 
     places = ("sensor",)
+    sampled = "its counts come at instants that no solver knows"
 
     def build(self, interval: float, stream: int) -> AbstractDisturbance:
         resolution = np.asarray(self.ranges, float) / 2.0**self.bits
@@ -128,6 +133,8 @@ class DelayTable(AbstractDisturbanceTable):
         default=None,
         allowed=f"a whole number from 1 to {LONGEST}",
     )
+
+    sampled = "it is a delay of samples"
 
     def build(self, interval: float, stream: int) -> AbstractDisturbance:
         return disturbances.Delay(self.delay, self.longest)
@@ -177,6 +184,7 @@ class MissingTable(AbstractDisturbanceTable):
     probability: Share = key("that a sample is lost")
 
     places = ("sensor", "input_sensor")
+    sampled = "what gets lost is a sample"
 
     def build(self, interval: float, stream: int) -> AbstractDisturbance:
         return disturbances.MissingSamples(self.probability, random.key(0), stream)

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, Union
 import numpy as np
 from pydantic import Field, ValidationError, create_model
 
+from ..._continuous import AnyExperiment, ContinuousExperiment
 from ..._experiment import Experiment
 from ..._studies import NAMES, ready_made
 from ...machines import Study, studies
@@ -22,12 +23,13 @@ from .control import Control
 from .disturbances import Disturbance, chained
 from .metrics import Metric
 from .observers import Observer
-from .shapes import check_shapes
+from .shapes import check_shapes, in_continuous_time
 from .spread import SpreadItem, parameter, parameter_units
 
 MOST_STEPS = 10**9  # of a trajectory: samples in time are counted in 32 bits
 MOST_KEPT = 10**5  # errors of a trajectory that are kept
 MOST_PLANT_STEPS = 100  # each is traced by itself
+STEPPING = ("rtol", "atol", "max_steps")  # keys of continuous time
 
 
 class ConfigurationError(ValueError):
@@ -44,6 +46,23 @@ class AbstractStudyTable(Table, abc.ABC):
         "Runge-Kutta steps in each interval",
         default=1,
         allowed=f"a whole number from 1 to {MOST_PLANT_STEPS}",
+    )
+    time: Literal["sampled", "continuous"] = key(
+        "whether control and observers run at samples, or with the plant in one "
+        "differential equation",
+        default="sampled",
+    )
+    rtol: Positive | None = key(
+        "of continuous time, the relative tolerance of a step, by default 1e-8",
+        default=None,
+    )
+    atol: Positive | None = key(
+        "of continuous time, the absolute tolerance of a step, by default 1e-10",
+        default=None,
+    )
+    max_steps: Whole | None = key(
+        "of continuous time, how many steps are tried at most, by default 100000",
+        default=None,
     )
     every: Whole | None = key(
         "keep the error of one in this many samples",
@@ -95,7 +114,7 @@ class Configuration:
     """
 
     title: str
-    experiment: Experiment
+    experiment: AnyExperiment
     spread: Spread
     metrics: dict[str, MakeMetric]
     steps: int
@@ -160,7 +179,7 @@ def configure(content: Mapping[str, Any], folder: Path = Path()) -> Configuratio
         raise ConfigurationError(f"{explain(model, error, content)}.") from None
 
 
-def experiment_in(content: Mapping[str, Any]) -> Experiment:
+def experiment_in(content: Mapping[str, Any]) -> AnyExperiment:
     """The experiment of a content that differs in its numbers alone from one that was
     configured: what takes tracing to be checked, shapes for instance, is not checked again,
     which takes a tenth of the time."""
@@ -197,6 +216,7 @@ def _configured(table: AbstractStudyTable) -> Configuration:
             "`title` must be text that can be printed, on one line, but is "
             f"{table.title!r}."
         )
+    _check_time(table)
     ratio = table.horizon / table.interval
     if not ratio <= MOST_STEPS:
         raise ConfigurationError(
@@ -235,6 +255,10 @@ def _configured(table: AbstractStudyTable) -> Configuration:
         raise ConfigurationError(str(error)) from error
     named = {name: each.unit(units) for name, each in table.metrics.items()}
     alike = units[0] if len(set(units)) == 1 else ""
+    content = table.model_dump()
+    if table.time == "sampled":  # as before there was another
+        for name in ("time", *STEPPING):
+            del content[name]
     return Configuration(
         title=table.title,
         experiment=experiment,
@@ -247,8 +271,32 @@ def _configured(table: AbstractStudyTable) -> Configuration:
         | {"error": "1" if table.scale is not None else alike}
         | parameter_units(table.spread, type(table.machine), study.leaf_units),
         entries=entries,
-        content=table.model_dump(),
+        content=content,
     )
+
+
+def _check_time(table: AbstractStudyTable) -> None:
+    """Refuse what is of the other `time`."""
+    if table.time == "sampled":
+        for name in STEPPING:
+            if getattr(table, name) is not None:
+                raise ConfigurationError(
+                    f'`{name}` is for `time = "continuous"` only; a sampled loop takes '
+                    "`plant_steps` steps in every interval."
+                )
+        return
+    if "plant_steps" in table.model_fields_set:
+        raise ConfigurationError(
+            '`plant_steps` is for `time = "sampled"` only; the steps of continuous time '
+            "follow `rtol` and `atol`."
+        )
+    for place in ("sensor", "input_sensor", "actuator"):
+        for k, each in enumerate(getattr(table, place)):
+            if each.sampled is not None:
+                raise ConfigurationError(
+                    f'`{place}.{k}.kind`, "{each.kind}", is for `time = "sampled"` only: '
+                    f"{each.sampled}."
+                )
 
 
 def _suits(
@@ -267,7 +315,7 @@ def _listed(names: Sequence[str]) -> str:
     return " or ".join(f'"{name}"' for name in names) or "no machine"
 
 
-def _experiment(table: AbstractStudyTable, study: Study) -> Experiment:
+def _experiment(table: AbstractStudyTable, study: Study) -> AnyExperiment:
     plant = study.plant(table.machine)
     start = study.start(plant, table.machine)
     controller, feedback = table.control.build(plant)
@@ -275,18 +323,24 @@ def _experiment(table: AbstractStudyTable, study: Study) -> Experiment:
     # Streams of random numbers that differ throughout the loop.
     first = len(table.sensor)
     second = first + len(table.input_sensor)
-    return Experiment(
-        plant,
-        controller,
-        {n: _observer(study, n, t, plant, known) for n, t in table.observers.items()},
-        table.interval,
+    observers = {
+        n: _observer(study, n, t, plant, known) for n, t in table.observers.items()
+    }
+    around = dict(
         feedback=feedback,
         sensor=chained(table.sensor, table.interval, 0),
         input_sensor=chained(table.input_sensor, table.interval, first),
         actuator=chained(table.actuator, table.interval, second),
         initial=start,
-        plant_steps=table.plant_steps,
     )
+    loop = plant, controller, observers, table.interval
+    if table.time == "sampled":
+        return Experiment(*loop, plant_steps=table.plant_steps, **around)
+    stepping = {name: getattr(table, name) for name in STEPPING}
+    around |= {name: x for name, x in stepping.items() if x is not None}
+    experiment = ContinuousExperiment(*loop, **around)
+    observers = {n: in_continuous_time(experiment, n) for n in observers}
+    return dataclasses.replace(experiment, observers=observers)
 
 
 def _observer(study: Study, name: str, keys: Any, plant: Any, start: Any):

@@ -1,17 +1,19 @@
 """Whether the disturbances of a study suit the signals that pass through them."""
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from ..._continuous import AnyExperiment, ContinuousExperiment
 from ..._derive.plant import ModelPlant
-from ..._experiment import Experiment
 from ...disturbances import AbstractDisturbance, Chain
+from ...observers import AbstractObserver
 
 
-def check_shapes(experiment: Experiment) -> None:
+def check_shapes(experiment: AnyExperiment) -> None:
     """Refuse a disturbance that changes the shape of its signal, or cannot take it, and an
     input that a model does not have.
 
@@ -30,15 +32,41 @@ def check_shapes(experiment: Experiment) -> None:
                 _check(f"{place}.{k}", part, signal, y)
 
 
-def _signals(experiment: Experiment) -> tuple[Any, Any]:
+def _signals(experiment: AnyExperiment) -> tuple[Any, Any]:
     """Output and input at the start, without disturbances."""
     plant, start = experiment.plant, experiment.initial
     x = jax.tree.map(jnp.asarray, plant.initial() if start is None else start)
     y = plant.output(x)
-    fed = experiment._fed(y, x, {})
+    fed = y if experiment.feedback is None else experiment.feedback(y, x, {})
     state = experiment.controller.init(fed)
-    command, _ = experiment._control(jnp.zeros_like(experiment.interval), state, fed)
-    return y, command
+    command = experiment.controller(jnp.zeros(()), state, fed)
+    return y, jax.tree.map(jnp.asarray, command)
+
+
+def in_continuous_time(experiment: ContinuousExperiment, name: str) -> AbstractObserver:
+    """The observer `name` of an experiment as one of continuous time: where its noise is
+    that of samples, of those of the experiment's interval.
+
+    **Raises:** `ValueError` that names its key where it has no form in continuous time.
+    """
+    observer = experiment.observers[name]
+    if getattr(observer, "interval", 0.0) is None:
+        observer = dataclasses.replace(observer, interval=experiment.interval)
+    alone = dataclasses.replace(experiment, observers={name: observer})
+
+    def rate() -> Any:
+        loop, x0 = alone.begun(1)
+        t = jnp.zeros(())
+        return loop.vector_field(t, loop.init(t, x0), None)
+
+    try:
+        jax.eval_shape(rate)
+    except ValueError as error:
+        raise ValueError(
+            f'`observers.{name}.kind` does not suit `time = "continuous"`: '
+            f"{str(error).rstrip('.')}."
+        ) from error
+    return observer
 
 
 def _check(key: str, part: AbstractDisturbance, signal: Any, output: Any) -> None:
