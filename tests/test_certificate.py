@@ -13,9 +13,7 @@ import scipy.linalg
 from test_relations import (
     affine_linear_terms,
     affine_rate_terms,
-    linear_terms,
     quadratic,
-    rate_terms,
 )
 from test_rows import TERMS, turning
 
@@ -28,9 +26,7 @@ FORGETTING = 6.0  # rad/s
 INTERVAL = 0.02  # s
 TIMES = INTERVAL * jnp.arange(60)
 KINDS = {
-    "linear": linear_terms,
     "linear, affine": affine_linear_terms,
-    "rate": rate_terms,
     "rate, affine": affine_rate_terms,
     "matrix": quadratic(3)[1],
     "number": turning,
@@ -150,3 +146,93 @@ def test_of_least_squares(case):
             expected = harmonic(M / np.sqrt(np.outer(against, against)))
             given = case.found["given"]["least squares"][k]
             np.testing.assert_allclose(given, expected, rtol=1e-6)
+
+
+TURNING = np.array([[-0.4, 1.1, 0.0], [-0.9, -0.2, 0.5], [0.3, 0.0, -0.7]])  # 1/s
+CONSTANT = np.array([1.3, -0.6, 0.8])
+RATE = 4.0  # rad/s
+
+
+def motion(t):
+    return jnp.stack([jnp.sin(0.9 * t) + 0.5, jnp.cos(1.4 * t) - 0.2, 1.0 - 0.3 * t])
+
+
+def observed(t):
+    """`c'x = d + s'`, with c and A that do not vary."""
+    x, rate = jax.jvp(motion, (t,), (jnp.ones_like(t),))
+    s, s_rate = jax.jvp(lambda t: jnp.cos(0.8 * t) + 1.5, (t,), (jnp.ones_like(t),))
+    c, A = jnp.asarray(CONSTANT), jnp.asarray(TURNING)
+    return aslo.Rate(c, s, rate - A @ x, c @ x - s_rate, A, constant=True)
+
+
+def stood(r, rate):
+    """`-rate X + rate r' = X A`."""
+    return rate * np.linalg.solve(rate * np.eye(3) + TURNING.T, r)
+
+
+class Completed(AbstractObserver):
+    completions: dict
+
+    def equations(self, F, u, y):
+        F = F.using(aslo.LowPass(RATE), "paper")
+        row = y.row(F.scope("row"))
+        return {
+            name: completion(F.scope(name), row)
+            for name, completion in self.completions.items()
+        }
+
+
+def test_with_the_papers_start_constant_rows_have_settled():
+    """All that is constant of the equations is at its value from the beginning, where
+    linear equations put it; what is measured settles."""
+    times = 0.02 * jnp.arange(250)
+    terms = jax.jit(jax.vmap(observed))(times)
+    completions = {
+        "repeat": aslo.Repeat(),
+        "bank": aslo.FilterBank(BANK),
+        "least squares": aslo.LeastSquares(aslo.LowPass(FORGETTING)),
+    }
+    found = aslo.replay(Completed(completions), times, jnp.zeros(times.size), terms)
+    first = stood(CONSTANT, RATE)
+    scale = np.abs(CONSTANT) + np.abs(first)
+    again = stood(first, RATE)
+    rows = {
+        "repeat": [first, again, stood(again, RATE)],
+        "bank": [first, *(stood(first, float(filter.rate)) for filter in BANK)],
+    }
+    half = 0.5 * FORGETTING * np.eye(3)
+    M = FORGETTING * np.outer(first, first)
+    M = scipy.linalg.solve_sylvester(TURNING.T + half, TURNING + half, M)
+    expected = {"least squares": harmonic(M / np.outer(scale, scale))}
+    for name, each in rows.items():
+        R = np.array(each)
+        R = R / (np.abs(R).max(axis=0) + scale)
+        expected[name] = harmonic(R.T @ R / 3)
+    for name, (value, certificate) in found.items():
+        np.testing.assert_allclose(certificate, expected[name], rtol=1e-8)
+        error = np.abs(value - jax.vmap(motion)(times)).max(axis=1)
+        assert error[10] > 0.3
+        assert error[-1] < 0.02
+
+
+class OfBoth(AbstractObserver):
+    """The row of a relation, and that of the same one as a batch of one."""
+
+    start: str
+
+    def equations(self, F, u, y):
+        F = F.using(FILTER, self.start)
+        batch = aslo.Rows(y.c[None], y.d[None], y.s[None], y.z, y.A, constant=True)
+        return y.row(F.scope("one")), batch.row(F.scope("batch"))
+
+
+@pytest.mark.parametrize("start", ["exact", "paper"])
+def test_one_of_several_rows_is_a_row(start):
+    terms = jax.jit(jax.vmap(observed))(TIMES)
+    one, batch = aslo.replay(OfBoth(start), TIMES, jnp.zeros(TIMES.size), terms)
+    np.testing.assert_allclose(batch.r[:, 0], one.r, rtol=1e-12)
+    np.testing.assert_allclose(batch.b[:, 0], one.b, rtol=1e-12)
+    np.testing.assert_allclose(batch.scale, one.scale, rtol=1e-12)
+    settled = start == "paper"
+    assert np.all(one.r[0] == one.r[-1]) == settled
+    assert np.all(one.r[0] == 0.0) != settled
