@@ -4,38 +4,58 @@ mutants that Cosmic Ray makes of it, each run against the tests of its module.
     python -m benchmarks.mutation --count 300 --seed 0 --work DIR
 
 The checkout is copied to DIR, so that it stays as it is; a run that was stopped goes on
-there. It takes an hour or two of one processor."""
+there. First the tests run once on what is not changed, to tell which run a line and in what
+time. Then every mutant meets the quick tests of one file that run its line, those that are
+left the quick ones of the other files of its module, and the last ones the rest."""
 
 import argparse
+import difflib
+import json
+import os
 import random
 import re
 import shutil
-import subprocess
 import sys
 from collections import Counter
+from itertools import accumulate
 from pathlib import Path
 
 from cosmic_ray.commands import init
-from cosmic_ray.mutating import mutate_and_test
+from cosmic_ray.mutating import use_mutation
+from cosmic_ray.plugins import get_operator
 from cosmic_ray.work_db import WorkDB, use_db
-from cosmic_ray.work_item import TestOutcome, WorkItem, WorkResult
+from cosmic_ray.work_item import (
+    MutationSpec,
+    TestOutcome,
+    WorkerOutcome,
+    WorkItem,
+    WorkResult,
+)
+
+from .warm_tests import NONE_COLLECTED, Chosen, Record, Recorder, forked, pytest_in
 
 ROOT = Path(__file__).parents[1]
 COPIED = ("aslo_jax", "tests", "pyproject.toml", "README.md", "LICENSE")
-# The tests that speak of a module, the quick ones first: the first failure ends a mutant.
+# The tests that speak of a module, the quick ones first.
 TESTS = {
     "_filters": "filters oracle sampled small realise step relations refused_values",
-    "_realise": "oracle realise once step filters sampled hidden_errors missing",
+    "_realise": "realise oracle once step filters sampled hidden_errors missing",
     "_relations": "oracle relations rows sampled once refused_values refusals gradients",
-    "_swapped": "oracle sampled rows relations limits paced_rates",
-    "_completions": "oracle guard rows sampled two_rates refused_values errors missing",
+    "_swapped": "oracle relations sampled rows limits paced_rates",
+    "_completions": "oracle rows guard sampled two_rates refused_values errors missing",
     "_guard": "oracle guard refused_values sampled missing",
-    "_replay": "sampled once step errors refusals hidden_errors missing",
+    "_replay": "oracle once sampled step errors refusals hidden_errors missing",
 }
 # Not in the sample, since anything kills them: bitwise operators, which floating-point
-# numbers refuse, and the changes of `X | None` in an annotation.
+# numbers refuse, the changes of `X | None` in an annotation, and of the `*` before what is
+# given by name, most of which are no Python. Nor, since nothing runs them, the stubs of
+# `overload`, which are for pyright.
 TRIVIAL = re.compile(r"BinaryOperator_(BitOr_|BitAnd_|.*_(Bit|RShift|LShift))")
-LATEST = 900.0  # seconds for the tests of a mutant, of which one may loop for ever
+STUB = re.compile(r"^@overload\n(.*\n)+?.*\.\.\.$", re.MULTILINE)
+# Seconds of processor that the quick tests of one file, and those of all files, take
+# together where nothing is changed.
+QUICK = 3.0, 6.0
+LATEST = 1200.0  # seconds for the tests of a mutant, of which one may loop for ever
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -44,27 +64,32 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
     parser.add_argument("--work", type=Path, default=Path("mutation"), help="where to work")
     asked = parser.parse_args(argv)
-    tree = asked.work.resolve() / "tree"
+    work = asked.work.resolve()
+    tree = work / "tree"
     if not tree.exists():
-        copied(tree)
-    with use_db(asked.work / "session.sqlite") as db:
+        copied(ROOT, tree)
+        copied(ROOT, work / "unchanged")
+    for name in TESTS:  # of a run that was stopped amid a mutant
+        shutil.copy(work / "unchanged" / path_of(name), tree / path_of(name))
+    if not (work / "record.json").exists():
+        baseline(work)
+    record = Record.read(work / "record.json")
+    with use_db(work / "session.sqlite") as db:
         if not db.num_work_items:
-            modules = [tree / "aslo_jax" / f"{name}.py" for name in TESTS]
-            init(modules, db, {})
-            baseline(tree)
-        done = {item.job_id for item, _ in db.completed_work_items}
-        for item in sample(db, asked.count, asked.seed):
-            if item.job_id not in done:
-                result = tested(item, tree)
-                db.set_result(item.job_id, result)
-                print(line(item, result), flush=True)
-        return report(db)
+            init([tree / path_of(name) for name in TESTS], db, {})
+        chosen = sample(db, asked.count, asked.seed)
+        for part in range(len(QUICK) + 1):
+            done = {item.job_id for item, _ in db.completed_work_items}
+            for item in chosen:
+                if item.job_id not in done:
+                    tested(item, db, work, record, part)
+        return report(db, chosen)
 
 
-def copied(tree: Path) -> None:
+def copied(checkout: Path, tree: Path) -> None:
     tree.mkdir(parents=True)
     for name in COPIED:
-        source = ROOT / name
+        source = checkout / name
         if source.is_dir():
             unwanted = shutil.ignore_patterns("__pycache__")
             shutil.copytree(source, tree / name, ignore=unwanted)
@@ -72,71 +97,175 @@ def copied(tree: Path) -> None:
             shutil.copy(source, tree / name)
 
 
-def command(tree: Path, module: str) -> str:
-    tests = " ".join(f"{tree}/tests/test_{name}.py" for name in TESTS[module].split())
-    # From the copy, which is then what is imported, and not the checkout.
-    cache = f"ASLO_JAX_TEST_CACHE={tree.parent}/compiled"
-    start = f"env -C {tree} PYTHONPATH={tree} {cache}"
-    settings = f"-p no:cacheprovider -c {tree}/pyproject.toml --rootdir {tree}"
-    return f"{start} {sys.executable} -m pytest -x -q -n 0 {settings} {tests}"
+def path_of(module: str) -> Path:
+    return Path("aslo_jax", f"{module}.py")
 
 
-def baseline(tree: Path) -> None:
+def files_for(module: str) -> list[str]:
+    return [f"tests/test_{name}.py" for name in TESTS[module].split()]
+
+
+def baseline(work: Path) -> None:
     """The tests pass on what is not changed, which fills the cache of compiled programs,
     and fail where a module cannot be imported, or else they do not see the copy."""
-    for module in TESTS:
-        asked = command(tree, module).split()
-        if subprocess.run(asked, check=False).returncode:
-            sys.exit(f"The tests of {module} fail without a mutation.")
-        path = tree / "aslo_jax" / f"{module}.py"
+    tree, cache, output = work / "tree", work / "compiled", work / "output.txt"
+    modules = [tree / path_of(name) for name in TESTS]
+    every = list(dict.fromkeys(file for name in TESTS for file in files_for(name)))
+
+    def recorded() -> int:
+        path = work / "record.json"
+        return pytest_in(tree, every, cache, lambda: Recorder(path, modules), keep=True)
+
+    if forked(recorded, output, 10 * LATEST):
+        (work / "record.json").unlink(missing_ok=True)
+        sys.exit(f"{output.read_text()}\nThe tests fail without a mutation.")
+    for path in modules:
         kept = path.read_text()
         path.write_text("raise ImportError\n")
-        broken = subprocess.run(asked, check=False, capture_output=True).returncode
+        files = files_for(path.stem)[:1]
+        broken = forked(
+            lambda files=files: pytest_in(tree, files, cache, object, keep=False),
+            output,
+            LATEST,
+        )
         path.write_text(kept)
         if not broken:
-            sys.exit(f"The tests of {module} do not import {path}.")
+            sys.exit(f"The tests of {path.stem} do not import {path}.")
 
 
 def sample(db: WorkDB, count: int, seed: int) -> list[WorkItem]:
     """The same mutants for the same code, whatever their random names are."""
-    items = [item for item in db.work_items if not TRIVIAL.search(operator(item))]
-    items.sort(key=lambda item: (*place(item), operator(item)))
+    items = [item for item in db.work_items if not trivial(item)]
+    items.sort(key=lambda item: (*place(item), operator(item), only(item).occurrence))
     return random.Random(seed).sample(items, min(count, len(items)))
 
 
-def place(item: WorkItem) -> tuple[str, tuple[int, int]]:
+def trivial(item: WorkItem) -> bool:
+    row, column = only(item).start_pos
+    text = only(item).module_path.read_text()
+    lines = text.splitlines()
+    stubs = (
+        range(text[: stub.start()].count("\n"), text[: stub.end()].count("\n") + 1)
+        for stub in STUB.finditer(text)
+    )
+    return (
+        bool(TRIVIAL.search(operator(item)))
+        or lines[row - 1][column:].startswith("*, ")
+        or lines[row - 1].strip() == "*,"
+        or any(row - 1 in stub for stub in stubs)
+    )
+
+
+def only(item: WorkItem) -> MutationSpec:
     (mutation,) = item.mutations
-    return mutation.module_path.stem, mutation.start_pos
+    return mutation
+
+
+def place(item: WorkItem) -> tuple[str, tuple[int, int]]:
+    return only(item).module_path.stem, only(item).start_pos
 
 
 def operator(item: WorkItem) -> str:
-    (mutation,) = item.mutations
-    return mutation.operator_name.removeprefix("core/")
+    return only(item).operator_name.removeprefix("core/")
 
 
-def tested(item: WorkItem, tree: Path) -> WorkResult:
-    return mutate_and_test(item.mutations, command(tree, place(item)[0]), LATEST)
+def tested(item: WorkItem, db: WorkDB, work: Path, record: Record, part: int) -> None:
+    """Against a part of its tests. What is not known after them has no result yet, and is
+    told in a file."""
+    path = work / "left.json"
+    left = json.loads(path.read_text()) if path.exists() else {}
+    if left.get(item.job_id, 0) > part:
+        return
+    begun = processor()
+    result = mutated(item, work, parts(item, record)[part])
+    taken = f"{processor() - begun:5.1f} s"
+    if part < len(QUICK) and result.test_outcome == TestOutcome.SURVIVED:
+        path.write_text(json.dumps(left | {item.job_id: part + 1}))
+        print(taken, "left        ", line(item), flush=True)
+        return
+    db.set_result(item.job_id, result)
+    print(f"{taken} {said(result):12} {line(item)} {killer(result)}", flush=True)
 
 
-def line(item: WorkItem, result: WorkResult) -> str:
+def processor() -> float:
+    """Seconds of it that the forks took."""
+    times = os.times()
+    return times.children_user + times.children_system
+
+
+def parts(item: WorkItem, record: Record) -> tuple[list[str], ...]:
+    """The tests that run the line of a mutant: the quick ones of the first file that has
+    any, the quick ones of all files, and the rest, file by file."""
     module, (row, _) = place(item)
-    outcome = result.test_outcome.value if result.test_outcome else "not tested"
-    return f"{outcome:12} {module}.py:{row:<4} {operator(item)}"
+    files = files_for(module)
+    tests = record.running(module, row, files)
+    first = min((files.index(test.split("::")[0]) for test in tests), default=0)
+    quick = within(QUICK[0], [t for t in tests if t.startswith(files[first])], record)
+    more = within(QUICK[1], [t for t in tests if t not in quick], record)
+    rest = [t for t in record.times if t in tests and t not in quick and t not in more]
+    return quick, more, rest
 
 
-def report(db: WorkDB) -> int:
+def within(limit: float, tests: list[str], record: Record) -> list[str]:
+    taken = accumulate(record.times[test] for test in tests)
+    return [test for test, sum_ in zip(tests, taken, strict=True) if sum_ <= limit]
+
+
+def mutated(item: WorkItem, work: Path, tests: list[str]) -> WorkResult:
+    """What the `tests` say of a mutant."""
+    failed, output = work / "failed.txt", work / "output.txt"
+    failed.write_text("")
+    files = list(dict.fromkeys(test.split("::")[0] for test in tests))
+    mutation = only(item)
+    changes = get_operator(mutation.operator_name)(**mutation.operator_args)
+    tree, cache = work / "tree", work / "compiled"
+
+    def run() -> int:
+        plugin = lambda: Chosen(tests, failed)
+        return pytest_in(tree, files, cache, plugin, keep=False)
+
+    with use_mutation(mutation.module_path, changes, mutation.occurrence) as (old, new):
+        status = forked(run, output, LATEST) if files else NONE_COLLECTED
+    survived = status in (0, NONE_COLLECTED)
+    by = failed.read_text().strip() or ("too long" if status is None else "import")
+    return WorkResult(
+        worker_outcome=WorkerOutcome.NORMAL,
+        test_outcome=TestOutcome.SURVIVED if survived else TestOutcome.KILLED,
+        output="" if survived else by,
+        diff=changed(old, new or ""),
+    )
+
+
+def changed(old: str, new: str) -> str:
+    """The lines that differ."""
+    both = difflib.ndiff(old.splitlines(), new.splitlines())
+    return "\n".join(each for each in both if each[:2] in ("- ", "+ "))
+
+
+def said(result: WorkResult) -> str:
+    return result.test_outcome.value if result.test_outcome else "not tested"
+
+
+def killer(result: WorkResult) -> str:
+    return "" if not result.output else f"by {result.output}"
+
+
+def line(item: WorkItem) -> str:
+    module, (row, column) = place(item)
+    return f"{module}.py:{row}:{column} {operator(item)}"
+
+
+def report(db: WorkDB, chosen: list[WorkItem]) -> int:
     """Survivors, with what was changed, and the share that was killed."""
     counts: Counter[tuple[str, bool]] = Counter()
+    sampled = {item.job_id for item in chosen}
     for item, result in db.completed_work_items:
+        if item.job_id not in sampled:
+            continue
         survived = result.test_outcome == TestOutcome.SURVIVED
         counts[place(item)[0], survived] += 1
         if survived:
-            changed = [
-                each
-                for each in (result.diff or "").splitlines()
-                if each[:1] in "+-" and each[:3] not in ("+++", "---")
-            ]
-            print(line(item, result), *changed, sep="\n    ")
+            print(line(item), *(result.diff or "").splitlines(), sep="\n    ")
     for module in TESTS:
         killed, survived = counts[module, False], counts[module, True]
         print(f"{module:14} {killed:4} of {killed + survived:4} killed")

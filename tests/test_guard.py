@@ -190,3 +190,22 @@ def test_trust_rises_over_one_threshold(threshold):
     shares = jnp.array([0.5, 1.0, 1.25, 1.5, 2.0, 3.0])
     trust = [guard.trust(jnp.asarray(threshold * share)) for share in shares]
     np.testing.assert_allclose(trust, [0.0, 0.0, 0.25, 0.5, 1.0, 1.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("widening", [1e3, 1e6])
+def test_trust_rises_until_rounding_is_small(dtype, widening):
+    """Without a threshold over a thousand of the default one, or as many as are asked for,
+    but over 0.01 at most."""
+    guard, default = aslo.Guard(), float(jnp.finfo(dtype).eps) ** 0.75
+    width = min(widening * default, 0.01)
+    shares = np.array([-1.0, 0.0, 0.3, 0.8, 1.0, 2.0])
+    given = {} if widening == 1e3 else {"widening": widening}
+    trust = [guard.trust(jnp.asarray(default + s * width, dtype), **given) for s in shares]
+    np.testing.assert_allclose(trust, [0.0, 0.0, 0.3, 0.8, 1.0, 1.0], atol=1e-5)
+
+
+def test_at_its_threshold_an_estimate_is_not_let_through():
+    guard = aslo.Guard(0.03)
+    assert not guard.certified(guard.threshold)
+    assert guard.certified(guard.threshold * (1.0 + 1e-15))

@@ -1,0 +1,177 @@
+"""Tests of a copy of the package in a fork of this process, which has imported what they
+need but the package: a run begins in a second, and ends with the first test that fails."""
+
+import importlib
+import json
+import os
+import signal
+import sys
+import time
+import traceback
+import warnings
+from collections import defaultdict
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+# Nothing of this asks JAX for a device: its threads would not survive a fork.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+for _name in (
+    "beartype",
+    "coverage",
+    "diffrax",
+    "equinox",
+    "hypothesis",
+    "jax",
+    "jaxtyping",
+    "llvmlite.binding",
+    "numpy",
+    "optax",
+    "pydantic",
+    "scipy.integrate",
+    "scipy.linalg",
+    "tomlkit",
+):
+    importlib.import_module(_name)
+
+import coverage
+import pytest
+
+NONE_COLLECTED = pytest.ExitCode.NO_TESTS_COLLECTED
+
+
+class Record(NamedTuple):
+    """What the tests do where nothing is changed: their processor time (s), in the order in
+    which they run, and the tests that run a line, by the names of file and test; `None`
+    for the lines that an import runs."""
+
+    times: dict[str, float]
+    lines: dict[str, dict[int, list[str] | None]]
+
+    @classmethod
+    def read(cls, path: Path) -> "Record":
+        found = json.loads(path.read_text())
+        lines = {
+            name: {int(row): tests for row, tests in rows.items()}
+            for name, rows in found["lines"].items()
+        }
+        return cls(found["times"], lines)
+
+    def running(self, module: str, row: int, files: list[str]) -> list[str]:
+        """The tests of `files` that run a line, the quick ones first. A line that none is
+        known to run may be a part of a longer one, and is for all of them."""
+        known = self.lines.get(module, {}).get(row)
+        asked = self.times if known is None else known
+        return sorted(
+            (test for test in asked if test.split("::")[0] in files), key=self.times.get
+        )
+
+
+class Recorder:
+    """A plug-in of pytest that writes a [`Record`][] of `modules` to a file."""
+
+    def __init__(self, path: Path, modules: list[Path]) -> None:
+        self.path, self.modules = path, modules
+        self.times: dict[str, float] = {}
+        self.shared: dict[tuple[str, object], float] = {}
+        include = [str(module) for module in modules]
+        self.coverage = coverage.Coverage(None, include=include, config_file=False)
+        self.coverage.start()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> Generator[None]:
+        """One that tests share counts for each, as if it ran alone."""
+        begun = time.process_time()
+        result = yield
+        if fixturedef.scope != "function":
+            key = fixturedef.argname, getattr(request, "param_index", 0)
+            self.shared[key] = time.process_time() - begun
+        return result
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: Any) -> Generator[None]:
+        self.coverage.switch_context(item.nodeid)
+        begun, before = time.process_time(), dict(self.shared)
+        result = yield
+        taken = time.process_time() - begun
+        indices = item.callspec.indices if hasattr(item, "callspec") else {}
+        keys = ((name, indices.get(name, 0)) for name in item.fixturenames)
+        taken += sum(before.get(key, 0.0) for key in keys)
+        self.times[item.nodeid] = taken
+        self.coverage.switch_context("")
+        return result
+
+    def pytest_sessionfinish(self) -> None:
+        self.coverage.stop()
+        data, lines = self.coverage.get_data(), defaultdict(dict)
+        for module in self.modules:
+            for row, tests in data.contexts_by_lineno(str(module)).items():
+                lines[module.stem][row] = None if "" in tests else tests
+        found = {"times": self.times, "lines": lines}
+        self.path.write_text(json.dumps(found))
+
+
+class Chosen:
+    """A plug-in of pytest that runs these `tests` in this order, and names in `failed` the
+    ones that fail."""
+
+    def __init__(self, tests: list[str], failed: Path) -> None:
+        self.rank = {test: k for k, test in enumerate(tests)}
+        self.failed = failed
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[Any]) -> None:
+        items[:] = [item for item in items if item.nodeid in self.rank]
+        items.sort(key=lambda item: self.rank[item.nodeid])
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        if report.failed:
+            with self.failed.open("a") as file:
+                file.write(f"{report.nodeid}\n")
+
+
+def pytest_in(
+    tree: Path, files: list[str], cache: Path, plugin: Callable[[], object], *, keep: bool
+) -> int:
+    """What pytest gives for `files` of the `tree`, in this process, which is to end then;
+    `keep`: whether what Python compiles is written beside it."""
+    os.chdir(tree)
+    sys.dont_write_bytecode = not keep
+    sys.path.insert(0, str(tree))
+    os.environ.update(PYTHONPATH=str(tree), ASLO_JAX_TEST_CACHE=str(cache))
+    if not keep:
+        os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+    settings = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--rootdir", str(tree)]
+    settings += ["-W", "ignore:Module already imported:pytest.PytestAssertRewriteWarning"]
+    return int(pytest.main([*settings, *files], plugins=[plugin()]))
+
+
+def forked(run: Callable[[], int], output: Path, latest: float) -> int | None:
+    """The exit status of `run` in a fork, which writes to `output`; `None` where it takes
+    longer than `latest` (s), and is killed then with all that it started."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of forks where JAX has threads: it has none yet
+        child = os.fork()
+    if not child:
+        status = 1
+        try:
+            os.setsid()
+            file = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            os.dup2(file, 1)
+            os.dup2(file, 2)
+            status = run()
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(status)
+    end = time.monotonic() + latest
+    while time.monotonic() < end:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.02)
+    os.killpg(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return None
