@@ -1,5 +1,5 @@
-"""`kill -9` at any instant of a study: `--resume` goes on to the bits, and to the files, of a
-study that nothing ended."""
+"""`kill -9` at any instant of a study: `--resume` goes on to the bits, and to the files, of
+a study that nothing ended."""
 
 import os
 import random
