@@ -66,9 +66,9 @@ def megabytes() -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def soak(name: str, dtype: str, how: str, steps: int) -> dict[str, Any]:
+def soak(name: str, dtype: str, how: str, steps: int, first: int = FIRST) -> dict[str, Any]:
     """So many steps of an observer by `how`, `"scan"` or `"calls"`; what changed from the
-    settled observer to the last."""
+    observer after the `first` blocks to the last."""
     import equinox as eqx
     import jax
     import jax.numpy as jnp
@@ -78,12 +78,12 @@ def soak(name: str, dtype: str, how: str, steps: int) -> dict[str, Any]:
         lambda x: x.astype(dtype) if eqx.is_inexact_array(x) else x, observer_of(name)
     )
     u, y, flux = (np.asarray(x, dtype) for x in record())
-    dt, traces = np.asarray(INTERVAL, dtype), 0
+    traces = 0
 
     def one(state: Any, u: Any, y: Any) -> Any:
         nonlocal traces
         traces += 1
-        return observer.step(state, u, y, dt)
+        return observer.step(state, u, y, INTERVAL)
 
     @jax.jit
     def block(state: Any) -> Any:
@@ -110,9 +110,9 @@ def soak(name: str, dtype: str, how: str, steps: int) -> dict[str, Any]:
         state, value, coasting = run(state)
         value = np.asarray(value)
         assert value.dtype == dtype, value.dtype
-        if k + 1 == FIRST:
+        if k + 1 == first:
             settled, memory, once = value, megabytes(), traces
-        coasted += int(coasting) if k >= FIRST else 0
+        coasted += int(coasting) if k >= first else 0
     return {
         "steps": steps,
         "microseconds": (time.process_time() - start) / steps * 1e6,
