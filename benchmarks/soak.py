@@ -97,14 +97,15 @@ def soak(name: str, dtype: str, how: str, steps: int, first: int = FIRST) -> dic
     single = jax.jit(one)
 
     def called(state: Any) -> Any:
-        coasting, found = 0, None
+        coasting, value = 0, None
         for k in range(BLOCK):
             state, found = single(state, u[k % ROWS], y[k % ROWS])
-            coasting += bool(found.coasting)
-        return state, found.value, coasting
+            value, coasting = found.value, coasting + bool(found.coasting)
+        return state, value, coasting
 
     run = {"scan": block, "calls": called}[how]
-    state, settled, memory, once, coasted = observer.init(y[0], u[0]), None, 0.0, 0, 0
+    state, memory, once, coasted = observer.init(y[0], u[0]), 0.0, 0, 0
+    value = settled = np.zeros(2)
     start = time.process_time()
     for k in range(steps // BLOCK):
         state, value, coasting = run(state)
