@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import aslo_jax as aslo
+from benchmarks import soak
 
 L, M = 4e-3, 0.09
 X, W = np.polynomial.legendre.leggauss(8)
@@ -190,6 +191,51 @@ def test_it_recovers_again_and_again():
     assert error[1:, 900:].max() < 5e-3  # what it knew, held
     trusted = np.where(coasts, 0.0, error)
     assert trusted[1:].max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("times", "error", "samples"),
+    [(1.0, 3e-3, 0), (3.0, 8e-3, 0), (10.0, 0.047, 94), (100.0, 5.4, 720), (1e12, 0.0, 0)],
+)
+def test_one_sample_that_is_wrong(times, error, samples):
+    """The worst error that is not flagged, and how many samples are off by more than 2 %;
+    a gate flags the one sample, and nothing is off."""
+    R, t, u, y, flux = motor(1e-4, 0.03)
+    y = y + 0.01 * np.random.default_rng(3).standard_normal(y.shape)
+    y[2000, 0] += 3.0 * times
+    plain = aslo.AlgebraicObserver(
+        aslo.plants.PMSM(R, L, M, 3, 1e-3).flux_relation(),
+        aslo.LowPass(100.0),
+        guard=aslo.Guard(1e-3),
+    )
+
+    def after(observer):
+        found = aslo.replay(observer, t, u, y)
+        off = np.linalg.norm(np.asarray(found.value) - flux, axis=1) / M
+        coasts = np.asarray(found.coasting)[2000:]
+        return np.where(coasts, 0.0, off[2000:]), coasts
+
+    off, _ = after(plain)
+    assert 0.5 * error <= off.max() <= 2.0 * error
+    assert 0.5 * samples <= (off > 0.02).sum() <= 2.0 * samples
+    off, coasts = after(aslo.Gated(plain))
+    assert off.max() < 2.0 * 3e-4
+    assert np.flatnonzero(coasts).tolist() == [0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype", soak.DRIFT)
+@pytest.mark.parametrize("name", soak.OBSERVERS)
+def test_a_hundred_thousand_steps_more_change_nothing(name, dtype):
+    """`python -m benchmarks soak` takes ten million."""
+    found = soak.soak(name, dtype, "scan", 300_000)
+    assert not soak.faults(name, found, dtype)
+
+
+@pytest.mark.slow
+def test_single_steps_change_nothing():
+    found = soak.soak("ASLO", "float32", "calls", 50_000, first=2)
+    assert not soak.faults("ASLO", found, "float32")
 
 
 @pytest.mark.slow

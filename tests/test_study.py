@@ -1,10 +1,13 @@
 """Studies: the same bits however they are cut, interrupted, or spread over processes."""
 
+import contextlib
 import json
+import logging
 import os
 import signal
 import threading
 import time
+import types
 
 import cloudpickle
 import jax
@@ -169,6 +172,34 @@ def test_worker_killed(tmp_path):
         assert killed[0] < 20
         alone = studies.run_study(**many)
         studies.assert_same(alone, found)
+
+
+def test_the_end_of_a_cluster_is_not_warned_of(monkeypatch, capfd):
+    """What Dask says while it closes, as of a worker that ends late, is no news."""
+    logger = logging.getLogger("distributed.nanny")
+    handler, level = logging.StreamHandler(), logger.level
+    monkeypatch.setattr(logger, "handlers", [handler])
+
+    class Cluster(contextlib.AbstractContextManager):
+        def __init__(self, **given):
+            assert given["n_workers"] == 3
+
+        def __exit__(self, *_):
+            logger.warning("Worker process still alive after 4.0 seconds, killing")
+
+    class Client(Cluster):
+        def __init__(self, cluster):
+            assert isinstance(cluster, Cluster)
+
+        def __exit__(self, *_):
+            logger.warning("a worker was lost")
+
+    dask = types.SimpleNamespace(LocalCluster=Cluster, Client=Client)
+    monkeypatch.setattr("aslo_jax.study._cluster.require", lambda *_: dask)
+    with pytest.raises(KeyError), local_cluster(3):
+        raise KeyError
+    assert capfd.readouterr().err == "a worker was lost\n"
+    assert logger.level == level
 
 
 def test_a_sample_does_not_depend_on_how_many_there_are(whole):

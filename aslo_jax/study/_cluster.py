@@ -1,6 +1,7 @@
 """The chunks of a study as tasks of a Dask cluster."""
 
 import functools
+import logging
 import threading
 import uuid
 import zlib
@@ -113,14 +114,21 @@ def _study(packed: bytes) -> Study:
 def local_cluster(workers: int) -> Iterator[Any]:
     """The client of a cluster of `workers` processes on this machine, one thread each."""
     distributed = require("dask.distributed", "study")
-    with (
-        distributed.LocalCluster(
+    logger = logging.getLogger("distributed.nanny")
+    before = logger.level
+    try:
+        with distributed.LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=":0",  # any free port,
+            dashboard_address=":0",  # any free port
             memory_limit=0,
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        yield client
+        ) as cluster:
+            try:
+                with distributed.Client(cluster) as client:
+                    yield client
+            finally:
+                # On a busy machine a worker ends late, is killed, and Dask warns of it.
+                logger.setLevel(logging.ERROR)
+    finally:
+        logger.setLevel(before)
