@@ -1,6 +1,6 @@
 """The Kalman filters of a machine's relation, where `[observer]` asks for one."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
@@ -10,7 +10,9 @@ from pydantic import Field, model_validator
 
 from .._guard import Guard
 from ..derivation import Derived, StateObserver
-from ..observers import Adaptive, Lifted
+from ..observers import Adaptive, AdaptiveVelocities, Lifted, LiftedVelocities
+from ..observers._motion import PUSH, leaf_of
+from ..plants import AbstractMechanicalSystem
 from ..schema import Positive, Table, key
 
 LIFTED, ADAPTIVE = "lifted_kalman", "adaptive"
@@ -198,22 +200,48 @@ def adaptive(relation: Callable[..., Any], settings: Any) -> Adaptive:
     )
 
 
-def parameters_of(settings: Any, estimate: Any) -> dict[str, Float[np.ndarray, " N"]]:
-    """The columns of the parameters that an estimate has found, their deviations, and
-    whether they are held."""
+def lifted_velocities(
+    system: AbstractMechanicalSystem, settings: Any
+) -> LiftedVelocities | AdaptiveVelocities:
+    """The Kalman filter of all velocities of a mechanical system, its parameters known or
+    not, with the settings of a machine's file or a study's."""
+    noise = settings.output_deviation, settings.input_deviation
+    force = settings.force_deviation
     if not is_adaptive(settings):
+        guard = Guard(limit_of(settings))
+        return LiftedVelocities(system, *noise, force, settings.prior, guard=guard)
+    names, drift = tuple(settings.parameters), settings.drift
+    return AdaptiveVelocities(
+        system,
+        *noise,
+        names,
+        settings.deviations,
+        [drift] * len(names) if drift else None,
+        force,
+    )
+
+
+def entries_of(system: AbstractMechanicalSystem, name: str) -> int | None:
+    """How many entries a parameter of a system has; `None` of a number."""
+    if name == PUSH:
+        return int(system.initial().position.shape[0])
+    shape = np.shape(leaf_of(system, name))
+    return int(np.prod(shape)) if shape else None
+
+
+def parameters_of(
+    names: Sequence[str], estimate: Any
+) -> dict[str, Float[np.ndarray, " N"]]:
+    """The columns of the parameters that an estimate has found, by their `names`, their
+    deviations, and whether they are held."""
+    if not names:
         return {}
     found: dict[str, Any] = {}
     variances = np.diagonal(np.asarray(estimate.parameter_covariance), axis1=1, axis2=2)
-    for k, name in enumerate(settings.parameters):
+    for k, name in enumerate(names):
         found[name] = np.asarray(estimate.parameters)[:, k]
         found[f"deviation_{name}"] = np.sqrt(np.maximum(variances[:, k], 0.0))
     return found | {HELD: np.asarray(estimate.held).astype(float)}
-
-
-def parameter_columns(settings: Any) -> list[str]:
-    """The names of the columns of [`parameters_of`][] that are not deviations."""
-    return [*settings.parameters, HELD] if is_adaptive(settings) else []
 
 
 def deviations_of(
