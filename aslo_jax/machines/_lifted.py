@@ -52,15 +52,15 @@ def prior_key(example: float) -> Any:
     )
 
 
-def adaptive_keys() -> tuple[Any, ...]:
+def adaptive_keys(
+    parameters: Sequence[str] = ("resistance", "magnet_flux"),
+    deviations: Sequence[float] = (0.1, 0.02),
+) -> tuple[Any, ...]:
     """`parameters`, `deviations`, `drift`, `hold`, `bank` and `tolerance`."""
     of = f'with kind = "{ADAPTIVE}": '
     return (
-        key(
-            f"{of}what is not known, that with the bank first",
-            default=["resistance", "magnet_flux"],
-        ),
-        key(f"{of}relative standard deviations of these", default=[0.1, 0.02]),
+        key(f"{of}what is not known, that with the bank first", default=list(parameters)),
+        key(f"{of}relative standard deviations of these", default=list(deviations)),
         key(
             f"{of}relative random walk of these: deviation after a second",
             "1/sqrt(s)",
@@ -181,6 +181,16 @@ def lifted_states(found: Derived, settings: Any) -> StateObserver:
             (settings.input_deviation, found.model.inputs),
         )
     )
+    if is_adaptive(settings):
+        return found.adaptive_filter(
+            *deviations,
+            parameters=settings.parameters,
+            deviations=tuple(settings.deviations),
+            drift=settings.drift,
+            hold=settings.hold,
+            bank=settings.bank,
+            tolerance=settings.tolerance,
+        )
     return found.kalman_filter(*deviations, threshold=limit_of(settings))
 
 

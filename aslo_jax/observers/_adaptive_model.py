@@ -36,6 +36,14 @@ class Entry(NamedTuple):
     d: Float[Array, " p"]
 
 
+def leaf_of(relation: Any, name: str) -> Any:
+    """A leaf of a relation by its name, or that of one of its `parameters`, as a derived
+    relation has them; `None` where it has none."""
+    found = getattr(relation, name, None)
+    parameters = getattr(relation, "parameters", None)
+    return parameters.get(name) if found is None and isinstance(parameters, dict) else found
+
+
 class Model(Module):
     """A relation with `parameters`, the names of its leaves that are not known."""
 
@@ -46,14 +54,14 @@ class Model(Module):
 
     def nominal(self) -> Float[Array, " q"]:
         """The values of the parameters in the relation, in their units."""
-        return jnp.stack([jnp.asarray(getattr(self.relation, k)) for k in self.parameters])
+        return jnp.stack([jnp.asarray(leaf_of(self.relation, k)) for k in self.parameters])
 
     def at(self, errors: Float[Array, " q"]) -> Relation:
         """The relation with these relative errors of the parameters taken out."""
         relation = self.relation
         values = self.nominal() * (1.0 + errors)
         for k, name in enumerate(self.parameters):
-            leaf = lambda r, name=name: getattr(r, name)
+            leaf = lambda r, name=name: leaf_of(r, name)
             relation = eqx.tree_at(leaf, relation, values[k])
         return relation
 
