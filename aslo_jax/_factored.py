@@ -147,30 +147,39 @@ def orthogonalised(W: Rows, weights: list[Any]) -> tuple[Rows, list[Any]]:
 
 
 def measured(
-    U: Rows, d: list[Any], f: list[Any], variance: Any
+    U: Rows, d: list[Any], f: list[Any], variance: Any, shared: list[Any], moved: Any
 ) -> tuple[Rows, list[Any], list[Any], Any]:
     """U and the pivots after a scalar measurement `h'X` with noise of `variance`, from `f =
-    U'h`; the gain, and one over the variance of the innovation (Bierman)."""
+    U'h`; the gain, and one over the variance of the innovation (Bierman). `shared` is `U^-1
+    c`, c the covariance of X with that noise. They stay, and the gain is zero, where the
+    measurement has not `moved`."""
     n = len(d)
-    U = [list(row) for row in U]
-    d = list(d)
-    gain: list[Any] = [0] * n
-    total, inverse = variance, None
-    for j in range(n):
-        b = times(d[j], f[j])
-        before, total = total, plus(total, times(b, f[j]))
-        if _is(b, 0):
+    before, U, d = d, [list(row) for row in U], list(d)
+    # The noise as the pivots tell of it; the first one, which is the last to be known,
+    # does so without a division of its own.
+    told = [times(e, reciprocal(q)) for e, q in zip(shared[1:], d[1:], strict=True)]
+    rest = less(variance, dot(shared[1:], told))
+    b = [plus(times(q, e), s) for q, e, s in zip(d, f, shared, strict=True)]
+    total = plus(rest, times(f[0], plus(b[0], shared[0])))
+    inverse = 1.0 / total
+    if not _is(b[0], 0):
+        left = less(times(d[0], rest), times(shared[0], shared[0]))
+        d[0] = jnp.where(moved, left * inverse, d[0])
+    b = [e if _is(e, 0) else jnp.where(moved, e, 0.0) for e in b]
+    gain: list[Any] = [b[0]] + [0] * (n - 1)
+    for j in range(1, n):
+        if _is(b[j], 0):
             continue
-        ratio = None if inverse is None else times(-f[j], inverse)
+        slope = plus(f[j], told[j - 1])
+        last, ratio = total, times(slope, inverse)
+        total = plus(total, times(b[j], slope))
         inverse = 1.0 / total
-        d[j] = d[j] * (before * inverse)
+        d[j] = before[j] * (last * inverse)
         for i in range(j):
             old = U[i][j]
-            if ratio is not None:
-                U[i][j] = plus(old, times(gain[i], ratio))
-            gain[i] = plus(gain[i], times(b, old))
-        gain[j] = b
-    inverse = 1.0 / total if inverse is None else inverse
+            U[i][j] = less(old, times(gain[i], ratio))
+            gain[i] = plus(gain[i], times(b[j], old))
+        gain[j] = b[j]
     return U, d, [times(k, inverse) for k in gain], inverse
 
 

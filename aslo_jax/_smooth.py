@@ -80,7 +80,10 @@ def smooth(
     log, common = checked_log(t, u, y, missing=missing)
     coasts = missing == "coast"
     if isinstance(inner, Adaptive):
-        return smoothed_adaptive(_constant(inner), log, common, coasts)
+        found = smoothed_adaptive(_constant(inner), log, common, coasts)
+        if not isinstance(observer, StateObserver):
+            return found
+        return jax.vmap(observer.decoded)(found, jnp.asarray(log[2]))
     found = smoothed(inner, log, common, coasts)
     whole = found.judged(inner)
     return (

@@ -16,6 +16,7 @@ from aslo_jax.derivation import derive
 from aslo_jax.described import calibrate_machine, machine_of
 from aslo_jax.logs import read_log, write_table
 from aslo_jax.machines import MachineError, read_machine
+from aslo_jax.machines._derived_study import extended_kalman
 from aslo_jax.study._config import ConfigurationError, configure, read_configuration
 from aslo_jax.study._problem import Problem, fingerprint
 
@@ -47,7 +48,7 @@ input_deviation = 1e-5
 
 [observers.Kalman]
 kind = "kalman"
-process = [1e-2, 1e-8, 1e-2]
+process = [2.5e-7, 4.5e-5, 4e-4]
 measurement = 1e-12
 
 [spread.resistance]
@@ -105,6 +106,21 @@ def test_a_study_runs_the_model_with_every_observer(folder):
             np.testing.assert_allclose(np.asarray(record.y)[k + 1, 0], s[1], rtol=1e-6)
 
 
+def test_intensities_are_relative_to_the_ranges_as_of_ready_made_plants():
+    """The same filter of a plant and of its model."""
+    motor = aslo.plants.DCMotor()
+    model = aslo.derivation.model_of(motor)
+    plant = derive(model).plant()
+    own = extended_kalman(plant, plant.initial(), 3e-4, 2e-9, 5e-2)
+    other = aslo.ExtendedKalman.of_plant(motor, 3e-4, 5e-2, 2e-9)
+    np.testing.assert_allclose(own.process, other.process, rtol=1e-12)
+    assert jnp.ptp(jnp.diagonal(own.process)) > 0
+    each = extended_kalman(plant, plant.initial(), [3e-4, 5e-2, 3e-4], 2e-9)
+    np.testing.assert_allclose(each.process, own.process, rtol=1e-12)
+    with pytest.raises(ValueError, match="`drift` must be left out beside a list"):
+        extended_kalman(plant, plant.initial(), [3e-4, 5e-2, 3e-4], 2e-9, 5e-2)
+
+
 def test_a_study_can_be_sent_to_another_process(folder):
     """With no function of the model: its code goes along."""
     cloudpickle = pytest.importorskip("cloudpickle")
@@ -146,7 +162,7 @@ def test_a_study_is_told_by_the_constants_of_its_model(folder, tmp_path):
     [
         ("load = 0.02", "lode = 0.02", "`machine.initial.lode` is no name"),
         ("cutoff = 100.0", "cutoff = 1.0", "`cutoff` must be above 1.333 rad/s"),
-        ("[1e-2, 1e-8, 1e-2]", "[1e-2, 1e-8]", "list of 3, for speed, load, current"),
+        ("[2.5e-7, 4.5e-5, 4e-4]", "[1e-2, 1e-8]", "list of 3, for speed, load, current"),
         ("plant:motor", "plant:moter", "did you mean `motor`"),
         (
             '"plant:motor"',

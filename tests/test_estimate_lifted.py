@@ -229,9 +229,6 @@ def test_what_is_refused(noisy, capsys, monkeypatch):
     ):
         machine(noisy, keys)
         assert message in refused(noisy, capsys), keys
-    leg = '[machine]\nkind = "robotic_leg"\nm1 = 2.0\nm2 = 3.0\n[observer]\n'
-    (noisy / "machine.toml").write_text(leg + LIFTED)
-    assert "or use `LiftedVelocities` in Python" in refused(noisy, capsys)
     salient = (
         '[machine]\nkind = "interior_pmsm"\nresistance = 3.6\ndirect_inductance = 36e-3\n'
         "quadrature_inductance = 51e-3\npole_pairs = 3\ninertia = 0.015\n"

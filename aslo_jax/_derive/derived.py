@@ -1,6 +1,7 @@
 """What is derived from a model: the relation, and all that is known of it."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, overload
 
 import jax
@@ -12,7 +13,7 @@ from .._checks import unlike
 from .._filters import AbstractFilter
 from .._guard import Guard
 from .._structure import Region
-from ..observers import Lifted
+from ..observers import Adaptive, Lifted
 from ..plants import AbstractMechanicalSystem, AbstractModelledPlant
 from .certificate import Certificate, certificate
 from .changes import Change, changed, integrating
@@ -144,6 +145,50 @@ class Derived:
             guard=None,
         )
         return StateObserver(lifted, self.coordinates, guard, initial)
+
+    def adaptive_filter(
+        self,
+        output_deviation: Any,
+        input_deviation: Any = 0.0,
+        *,
+        parameters: Sequence[str],
+        deviations: Any,
+        **settings: Any,
+    ) -> StateObserver:
+        """The Kalman filter of the relation some of whose parameters are not known
+        ([`Adaptive`][]), as an observer of the `states`, with an [`AdaptiveEstimate`][].
+
+        - `output_deviation`, `input_deviation`: as of [`Derived.kalman_filter`][];
+        - `parameters`: the names of those of the model that are not known, that with the
+          bank first; `deviations`, relative, shape `(q,)`;
+        - `settings`: `drift`, `hold`, `bank` and `tolerance` of [`Adaptive`][].
+
+        **Raises:** `ValueError` for a relation that is not quadratic or holds for the
+        present parameters only, and as [`Adaptive`][].
+        """
+        kind, change = self.relation.kind, self.coordinates.change
+        if kind != "quadratic" or change or not self.coordinates.decoder.is_selection:
+            raise ValueError(
+                "A filter of unknown parameters is for a model whose relation is "
+                f"quadratic, but that of this one is {self.kind}: name them in `unknown` "
+                "of the model, which makes states of them where the relation still closes."
+            )
+        if not self.relation.parameters:
+            raise ValueError(
+                "A filter of unknown parameters needs a relation that holds for others, "
+                "but this one holds for the present values of the model's alone."
+            )
+        low, high = self._bounds()
+        adaptive = Adaptive(
+            self.relation,
+            output_deviation,
+            jnp.maximum(jnp.asarray(input_deviation, float), NOISELESS),
+            tuple(parameters),
+            deviations,
+            initial=0.5 * (low + high),
+            **settings,
+        )
+        return StateObserver(adaptive, self.coordinates, None)
 
     def plant(self) -> ModelPlant:
         """The model as a plant, whose `hidden` part are the `states`.

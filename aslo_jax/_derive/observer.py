@@ -1,5 +1,6 @@
 """The observer of the states of a model, by a derived relation."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,7 +16,15 @@ from .._module import Module
 from .._realise import Pass
 from .._relations import AbstractTerms, Row
 from .._typing import PyTree
-from ..observers import AbstractObserver, AlgebraicObserver, Asymptotic, Estimate, Lifted
+from ..observers import (
+    AbstractObserver,
+    Adaptive,
+    AdaptiveEstimate,
+    AlgebraicObserver,
+    Asymptotic,
+    Estimate,
+    Lifted,
+)
 from .changes import Change
 from .decoding import Decoder
 from .dictionary import Matrix
@@ -90,13 +99,14 @@ class StateObserver(AbstractObserver):
 
     - `observer`: of the relation, without a guard: algebraic, asymptotic, or the Kalman
       filter of it, with which the estimate has a covariance, of first order in that of x;
+      with unknown parameters it is an [`AdaptiveEstimate`][], with flags of its own;
     - `coordinates`: of its x and of the states;
     - `guard`: of the states; `None` returns what the relation gives;
     - `initial`: the states before the first certified instant, shape `(k,)`, in their
       units; by default the middle of their ranges.
     """
 
-    observer: AlgebraicObserver | Asymptotic | Lifted
+    observer: AlgebraicObserver | Asymptotic | Lifted | Adaptive
     coordinates: Coordinates
     guard: Guard | None
     initial: Float[Array, " k"] | None = eqx.field(converter=optional_real, default=None)
@@ -147,6 +157,8 @@ class StateObserver(AbstractObserver):
             return Estimate(states, known, found.coasting)
         J = jax.jacfwd(lambda X: of(X)[0])(found.value)
         P = J @ found.covariance @ J.T
+        if isinstance(found, AdaptiveEstimate):
+            return dataclasses.replace(found, value=states, covariance=P)
         half = jnp.asarray([coordinates.half[k] for k in coordinates.decoder.states])
         r = jnp.max(jnp.diagonal(P) / half.astype(P.dtype) ** 2)
         return Estimate(states, 1.0 / (1.0 + r), found.coasting, P)

@@ -5,6 +5,7 @@ import numpy as np
 from ..logs import LogReader
 from ..machines import AbstractDescription, MachineError
 from ..machines._lifted import ADAPTIVE, LIFTED, is_adaptive, is_lifted
+from ..machines._mechanism import AbstractMechanism
 
 MOST = 1_000_000  # rows: about a gigabyte of beliefs
 
@@ -18,6 +19,12 @@ def check_smoothing(machine: AbstractDescription, path: str) -> None:
         raise MachineError(
             f'--smooth is for an `observer.kind` of "{LIFTED}" or "{ADAPTIVE}", which '
             f"{path} has not: no other observer is smoothed."
+        )
+    if isinstance(machine, AbstractMechanism):
+        raise MachineError(
+            f'--smooth is not for {path}, whose kind is "{machine.kind}": what is smoothed '
+            "is the Kalman filter of a relation, and this is one of all velocities of a "
+            "mechanism, linear about each estimate; do not smooth."
         )
     if is_adaptive(machine.observer) and np.any(np.asarray(machine.observer.drift)):
         raise MachineError(

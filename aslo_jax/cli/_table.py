@@ -18,7 +18,7 @@ from ..diagnosis import Rows, absent_rows, bridged, touched
 from ..logs import Log
 from ..machines import AbstractDescription, Quantity
 from ..machines._base import Columns, Rates
-from ..machines._lifted import is_lifted, parameter_columns
+from ..machines._lifted import HELD, is_lifted
 from ..observers import (
     AbstractObserver,
     Adaptive,
@@ -304,7 +304,8 @@ class Estimator:
         names += [f"coasting{suffix}" for suffix in suffixes]
         names += [f"coasting_{quantity.name}" for quantity in self._tracked]
         names += [name for name in found if name.startswith("deviation_")]
-        names += parameter_columns(self.machine.observer)
+        parameters = self.machine.parameter_names()
+        names += [*parameters, HELD] if parameters else []
         columns = {"t": t} | {name: found[name] for name in names}
         angles = [q.columns[0] for q in quantities if q.angle]
         for name, true in truth.items():

@@ -19,7 +19,7 @@ from ..schema import Table, is_rate, unit_of
 from ._condensed import CondensedLog, Condensing, blocks
 from ._keys import CalibrationTable
 from ._layout import Layout as Layout, Quantity as Quantity, Unknowns as Unknowns
-from ._lifted import NO_EFFECT, is_lifted, kind_of, no_effect
+from ._lifted import NO_EFFECT, is_adaptive, is_lifted, kind_of, no_effect
 from ._noise import Groups, Noise, pooled, white_noise
 from ._rates import Rate, Rates, low_pass
 from ._study import Study
@@ -54,7 +54,8 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
     - `memory`: on how many rows before it a row of the residuals depends;
     - `unknowns`: what a calibration may find; `telling`: what a log of this kind needs to
       determine it, and what tells it from errors of the record;
-    - `study`: how the kind takes part in studies, `None` where it does not.
+    - `study`: how the kind takes part in studies, `None` where it does not;
+    - `finds_noise`: whether a Kalman filter may leave its deviations to the log.
 
     **Raises:** [`MachineError`][] for a key that its kind refuses, and where a rate is to
     be chosen for a log that is not given; `TypeError` for a kind that is defined without
@@ -79,6 +80,7 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
         "a log that varies more, of a motor in the direct current,",
     )
     study: ClassVar[Study | None] = None
+    finds_noise: ClassVar[bool] = True
 
     @classmethod
     def __pydantic_init_subclass__(cls, **settings: Any) -> None:
@@ -190,6 +192,12 @@ class AbstractDescription(Table, abc.ABC, Generic[M, O]):
     def leaf(self, model: Any, name: str) -> Any:
         """A constant in the tree of what is `fitted`."""
         return getattr(model, name)
+
+    def parameter_names(self) -> list[str]:
+        """The names of the unknown parameters that its observer finds, one for each column
+        of them."""
+        settings: Any = self.observer
+        return list(settings.parameters) if is_adaptive(settings) else []
 
     def noise_units(self) -> tuple[str, str]:
         """The units of the noise of y and of u."""

@@ -2,17 +2,18 @@
 
 import functools
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from pydantic import Field, model_validator
 
 from .._filters import LowPass
 from ..derivation import Derived
 from ..logs import Log, Signals
 from ..observers import AbstractObserver, AlgebraicObserver
-from ..schema import Positive
+from ..schema import NonNegative, Positive
 from . import _keys as keys, _lifted
 from ._base import (
     AbstractDescription,
@@ -52,10 +53,13 @@ EXAMPLE = Layout(
 )
 
 
-class DerivedObserverTable(_lifted.ObserverTable):
-    """`[observer]` of a derived relation, all optional."""
+_PARAMETERS, _DEVIATIONS, _DRIFT, _HOLD, _BANK, _TOLERANCE = _lifted.adaptive_keys((), ())
 
-    kind: _lifted.ObserverKind = _lifted.kind_key()
+
+class DerivedObserverTable(_lifted.ObserverTable):
+    """`[observer]` of a derived relation, all optional but for an adaptive one."""
+
+    kind: _lifted.MotorKind = _lifted.kind_key()
     cutoff: Positive | None = keys.cutoff(example=30.0)
     completion: keys.Completion = keys.completion()
     start: keys.Start = keys.start()
@@ -63,6 +67,12 @@ class DerivedObserverTable(_lifted.ObserverTable):
     threshold: Positive = keys.threshold(THRESHOLD)
     output_deviation: _lifted.Deviation | None = _lifted.deviation_key("outputs", 0.01)
     input_deviation: _lifted.Deviation | None = _lifted.deviation_key("inputs", 0.01)
+    parameters: list[str] = _PARAMETERS
+    deviations: list[Positive] = _DEVIATIONS
+    drift: NonNegative = _DRIFT
+    hold: Positive = _HOLD
+    bank: Annotated[int, Field(ge=3)] = _BANK
+    tolerance: Positive = _TOLERANCE
 
 
 class DerivedDescription(AbstractDescription[DerivedTable, DerivedObserverTable]):
@@ -95,6 +105,27 @@ class DerivedDescription(AbstractDescription[DerivedTable, DerivedObserverTable]
         "a log that varies more",
     )
     study: ClassVar[Study | None] = STUDY
+
+    @model_validator(mode="after")
+    def _adapts(self):
+        """Refuse unknown parameters that its relation does not have."""
+        if not _lifted.is_adaptive(self.observer):
+            return self
+        if not self.observer.parameters:
+            raise ValueError(
+                "`observer.parameters` must name what is not known with `observer.kind = "
+                f'"{_lifted.ADAPTIVE}"` of a model, and `observer.deviations` by how much'
+            )
+        try:
+            self.found().adaptive_filter(
+                1.0,
+                1.0,
+                parameters=self.observer.parameters,
+                deviations=tuple(self.observer.deviations),
+            )
+        except ValueError as error:
+            raise ValueError(f"`observer.parameters`: {error}") from error
+        return self
 
     def found(self) -> Derived:
         """What was derived."""
@@ -193,7 +224,8 @@ class DerivedDescription(AbstractDescription[DerivedTable, DerivedObserverTable]
     def columns(self, estimate: Any, log: Log) -> Columns:
         states = self.found().states
         found = in_columns(states, estimate.value) | certified(estimate)
-        return found | _lifted.deviations_of(states, estimate)
+        found |= _lifted.deviations_of(states, estimate)
+        return found | _lifted.parameters_of(self.parameter_names(), estimate)
 
     def truth(self, log: Log) -> Columns:
         return {name.removesuffix("_true"): column for name, column in log.truth.items()}

@@ -173,8 +173,9 @@ def _offers(found: Derived) -> dict[str, Build]:
         )
 
     def kalman(keys: Any, plant: ModelPlant, start: Any) -> AbstractObserver:
-        refuse_keys(keys, "voltage", "drift")
-        return extended_kalman(plant, start, keys.process, keys.measurement)
+        refuse_keys(keys, "voltage")
+        of = keys.process, keys.measurement, keys.drift
+        return extended_kalman(plant, start, *of)
 
     def lifted(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         del plant, start
@@ -195,15 +196,22 @@ def _offers(found: Derived) -> dict[str, Build]:
 
 
 def extended_kalman(
-    plant: ModelPlant, start: Mapping[str, Any], process: Any, measurement: Any
+    plant: ModelPlant,
+    start: Mapping[str, Any],
+    process: Any,
+    measurement: Any,
+    drift: Any = None,
 ) -> ExtendedKalman:
     """The extended Kalman filter of a model: outputs that are states begin as in `start`,
     known to a thousandth of their range, what is not measured in the middle of its range,
     known to half of that.
 
     - `process`: two-sided intensities of the noise on the derivatives of the state, what
-      is not measured first, and `measurement`: of that on the outputs: one number or a list
-      with one for each.
+      is not measured first, over the squares of half the ranges (1/s), as
+      [`ExtendedKalman.of_plant`][] has them: one number or a list with one for each;
+    - `measurement`: of that on the outputs (their units squared, s), likewise;
+    - `drift`: beside one number for the others, that of unknown parameters (1/s), whose
+      half range is half of their value.
     """
     code, model = plant.code, plant.code.derived.model
     ranges = model.ranges | dict(model.outputs)
@@ -213,19 +221,28 @@ def extended_kalman(
     first = jnp.where(measured, plant.vector(start), middle)
     spread = np.where(measured, 1e-3, 1.0) * half
 
-    def diagonal(name: str, value: Any, names: tuple[str, ...]) -> Any:
+    def entries(name: str, value: Any, names: tuple[str, ...]) -> Any:
         given = jnp.asarray(value, float)
         if given.shape not in ((), (len(names),)):
             raise ValueError(
                 f"`{name}` must be a number, or a list of {len(names)}, for "
                 f"{', '.join(names)}, but is {value!r}"
             )
-        return jnp.diag(jnp.broadcast_to(given, (len(names),)))
+        return jnp.broadcast_to(given, (len(names),))
 
+    relative = entries("process", process, code.names)
+    if drift is not None:
+        if isinstance(process, list):
+            raise ValueError(
+                "`drift` must be left out beside a list, whose entries for "
+                f"{', '.join(model.unknown) or 'unknown parameters'} it would change"
+            )
+        unknown = jnp.asarray([name in model.unknown for name in code.names])
+        relative = jnp.where(unknown, drift, relative)
     return ExtendedKalman(
         ModelOfPlant(plant),
-        diagonal("process", process, code.names),
-        diagonal("measurement", measurement, code.outputs),
+        jnp.diag(relative * half**2),
+        jnp.diag(entries("measurement", measurement, code.outputs)),
         first,
         jnp.diag(jnp.asarray(spread**2)),
     )

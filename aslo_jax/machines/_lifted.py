@@ -1,6 +1,6 @@
 """The Kalman filters of a machine's relation, where `[observer]` asks for one."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
@@ -10,7 +10,9 @@ from pydantic import Field, model_validator
 
 from .._guard import Guard
 from ..derivation import Derived, StateObserver
-from ..observers import Adaptive, Lifted
+from ..observers import Adaptive, AdaptiveVelocities, Lifted, LiftedVelocities
+from ..observers._motion import PUSH, leaf_of
+from ..plants import AbstractMechanicalSystem
 from ..schema import Positive, Table, key
 
 LIFTED, ADAPTIVE = "lifted_kalman", "adaptive"
@@ -50,15 +52,15 @@ def prior_key(example: float) -> Any:
     )
 
 
-def adaptive_keys() -> tuple[Any, ...]:
+def adaptive_keys(
+    parameters: Sequence[str] = ("resistance", "magnet_flux"),
+    deviations: Sequence[float] = (0.1, 0.02),
+) -> tuple[Any, ...]:
     """`parameters`, `deviations`, `drift`, `hold`, `bank` and `tolerance`."""
     of = f'with kind = "{ADAPTIVE}": '
     return (
-        key(
-            f"{of}what is not known, that with the bank first",
-            default=["resistance", "magnet_flux"],
-        ),
-        key(f"{of}relative standard deviations of these", default=[0.1, 0.02]),
+        key(f"{of}what is not known, that with the bank first", default=list(parameters)),
+        key(f"{of}relative standard deviations of these", default=list(deviations)),
         key(
             f"{of}relative random walk of these: deviation after a second",
             "1/sqrt(s)",
@@ -179,6 +181,16 @@ def lifted_states(found: Derived, settings: Any) -> StateObserver:
             (settings.input_deviation, found.model.inputs),
         )
     )
+    if is_adaptive(settings):
+        return found.adaptive_filter(
+            *deviations,
+            parameters=settings.parameters,
+            deviations=tuple(settings.deviations),
+            drift=settings.drift,
+            hold=settings.hold,
+            bank=settings.bank,
+            tolerance=settings.tolerance,
+        )
     return found.kalman_filter(*deviations, threshold=limit_of(settings))
 
 
@@ -198,22 +210,48 @@ def adaptive(relation: Callable[..., Any], settings: Any) -> Adaptive:
     )
 
 
-def parameters_of(settings: Any, estimate: Any) -> dict[str, Float[np.ndarray, " N"]]:
-    """The columns of the parameters that an estimate has found, their deviations, and
-    whether they are held."""
+def lifted_velocities(
+    system: AbstractMechanicalSystem, settings: Any
+) -> LiftedVelocities | AdaptiveVelocities:
+    """The Kalman filter of all velocities of a mechanical system, its parameters known or
+    not, with the settings of a machine's file or a study's."""
+    noise = settings.output_deviation, settings.input_deviation
+    force = settings.force_deviation
     if not is_adaptive(settings):
+        guard = Guard(limit_of(settings))
+        return LiftedVelocities(system, *noise, force, settings.prior, guard=guard)
+    names, drift = tuple(settings.parameters), settings.drift
+    return AdaptiveVelocities(
+        system,
+        *noise,
+        names,
+        settings.deviations,
+        [drift] * len(names) if drift else None,
+        force,
+    )
+
+
+def entries_of(system: AbstractMechanicalSystem, name: str) -> int | None:
+    """How many entries a parameter of a system has; `None` of a number."""
+    if name == PUSH:
+        return int(system.initial().position.shape[0])
+    shape = np.shape(leaf_of(system, name))
+    return int(np.prod(shape)) if shape else None
+
+
+def parameters_of(
+    names: Sequence[str], estimate: Any
+) -> dict[str, Float[np.ndarray, " N"]]:
+    """The columns of the parameters that an estimate has found, by their `names`, their
+    deviations, and whether they are held."""
+    if not names:
         return {}
     found: dict[str, Any] = {}
     variances = np.diagonal(np.asarray(estimate.parameter_covariance), axis1=1, axis2=2)
-    for k, name in enumerate(settings.parameters):
+    for k, name in enumerate(names):
         found[name] = np.asarray(estimate.parameters)[:, k]
         found[f"deviation_{name}"] = np.sqrt(np.maximum(variances[:, k], 0.0))
     return found | {HELD: np.asarray(estimate.held).astype(float)}
-
-
-def parameter_columns(settings: Any) -> list[str]:
-    """The names of the columns of [`parameters_of`][] that are not deviations."""
-    return [*settings.parameters, HELD] if is_adaptive(settings) else []
 
 
 def deviations_of(

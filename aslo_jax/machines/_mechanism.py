@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from .._completions import LeastSquares, Repeat
 from .._filters import LowPass
@@ -16,7 +16,7 @@ from ..logs import Log, Signals
 from ..observers import AbstractObserver, Unwrapped, VelocityObserver, velocity_observer
 from ..plants import AbstractMechanicalSystem
 from ..schema import NonNegative, Positive, Table, key
-from . import _keys as keys, offers
+from . import _keys as keys, _lifted, offers
 from ._base import (
     AbstractDescription,
     Columns,
@@ -26,11 +26,13 @@ from ._base import (
     Rate,
     Rates,
     certified,
+    in_columns,
     over_window,
     relative,
 )
 from ._condensed import CondensedLog
 from ._frequency import cutoff_for_positions
+from ._lifted import is_adaptive, is_lifted
 from ._study import Explored, Study
 
 # A certificate begins as (cutoff t)^2/3, or without least squares as (cutoff t)^2, where
@@ -44,9 +46,14 @@ Three = Annotated[list[NonNegative], Field(min_length=3, max_length=3)]
 M = TypeVar("M", bound=Table)
 
 
-class VelocityObserverTable(Table):
-    """`[observer]` of a mechanical system, all optional. The default `threshold` suits
-    encoders of 12 bits."""
+_NOISE = 'with kind = "lifted_kalman" or "adaptive": standard deviation of'
+_ADAPTIVE = 'with kind = "adaptive": '
+_EACH = "a positive finite number, or one for each coordinate"
+
+
+class VelocityObserverTable(_lifted.ObserverTable):
+    """`[observer]` of a mechanical system, all optional for an ASLO. The default
+    `threshold` suits encoders of 12 bits."""
 
     cutoff: Positive | None = keys.cutoff(example=30.0)
     completion: Literal["least-squares", "repeat"] = key(
@@ -56,6 +63,78 @@ class VelocityObserverTable(Table):
     start: keys.Start = keys.start()
     gain: Positive | None = keys.gain()
     threshold: Positive = keys.threshold(THRESHOLD)
+    kind: _lifted.MotorKind = _lifted.kind_key()
+    output_deviation: _lifted.Deviation | None = key(
+        f"{_NOISE} the noise on every sample of the positions (m, rad), of an encoder its "
+        "step over sqrt(12)",
+        default=None,
+        example=1e-4,
+        allowed=_EACH,
+    )
+    input_deviation: _lifted.Deviation | None = key(
+        f"{_NOISE} the noise on every sample of the forces (N, N m)",
+        default=None,
+        example=0.1,
+        allowed="a positive finite number, or one for each input",
+    )
+    force_deviation: _lifted.Deviation | None = key(
+        f"{_NOISE} forces on the coordinates that the model does not know, in every "
+        "interval (N, N m), by default none",
+        default=None,
+        example=0.5,
+        allowed=_EACH,
+    )
+    prior: Positive | None = key(
+        'with kind = "lifted_kalman": standard deviation of the first velocities (m/s, '
+        "rad/s), by default infinite",
+        default=None,
+        example=2.0,
+    )
+    parameters: list[str] = key(
+        f'{_ADAPTIVE}what is not known, by name; "push" is a constant force on each '
+        "coordinate",
+        default=[],
+    )
+    deviations: list[Positive] = key(
+        f"{_ADAPTIVE}standard deviations of these, in their units",
+        default=[],
+    )
+    drift: NonNegative = key(
+        f"{_ADAPTIVE}random walk of these: deviation after a second, in their units over "
+        "the root of seconds",
+        default=0.0,
+    )
+
+    @model_validator(mode="after")
+    def _has_noise(self):
+        if not is_lifted(self):
+            if self.force_deviation is not None:
+                raise ValueError(
+                    f'`observer.force_deviation` is for `observer.kind = "{_lifted.LIFTED}"'
+                    f' or "{_lifted.ADAPTIVE}"; remove it, or set one of these'
+                )
+            return self
+        for name, of in (
+            ("output_deviation", "of the positions, of an encoder its step over sqrt(12)"),
+            ("input_deviation", "of the forces"),
+        ):
+            if getattr(self, name) is None:
+                raise ValueError(
+                    f'`observer.{name}` must be given with `observer.kind = "{self.kind}"` '
+                    f"of a mechanism: the standard deviation of the noise {of}"
+                )
+        if is_adaptive(self) and not self.parameters:
+            raise ValueError(
+                "`observer.parameters` must name what is not known with `observer.kind = "
+                f'"{self.kind}"` of a mechanism, and `observer.deviations` by how much'
+            )
+        if is_adaptive(self) and len(self.deviations) != len(self.parameters):
+            raise ValueError(
+                "`observer.deviations` must have one entry for each of "
+                f"`observer.parameters`, {len(self.parameters)}, but has "
+                f"{len(self.deviations)}"
+            )
+        return self
 
 
 class MotionStart(Table):
@@ -130,9 +209,8 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
     residual: ClassVar[str] = (
         "| change of q - integral of qdot | / integral of |qdot|, in 100 rows"
     )
+    finds_noise: ClassVar[bool] = False
     refused: ClassVar[Mapping[str, str]] = {
-        "kind": "its velocities come one after the other, from relations of their own; "
-        "remove it, or use `LiftedVelocities` in Python",
         "pll_bandwidth": "its velocities come from its equations, not from a loop that "
         "follows an angle; remove it",
     }
@@ -143,11 +221,26 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
     def plant(self) -> AbstractMechanicalSystem:
         """The system described by `[machine]`."""
 
+    @model_validator(mode="after")
+    def _knows_parameters(self):
+        """Refuse parameters that the system does not have."""
+        if is_adaptive(self.observer) and self.plant() is not None:
+            try:
+                self.state_observer({})
+            except ValueError as error:
+                raise ValueError(f"`observer.parameters`: {error}") from error
+        return self
+
     def form(self) -> Structure:
         """The form of its observer."""
         return structure_of(self.plant())
 
+    def noise_units(self) -> tuple[str, str]:
+        return "m, rad", "N, N m"
+
     def default_rates(self, log: CondensedLog | None, stated: Mapping[str, Any]) -> Rates:
+        if is_lifted(self.observer):
+            return {}
         fastest = self._fastest_decay()
         if "cutoff" in stated:
             if stated["cutoff"] <= fastest:
@@ -175,6 +268,8 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
 
     def state_observer(self, rates: Mapping[str, Rate]) -> AbstractObserver[Any]:
         settings, system = self.observer, self.plant()
+        if is_lifted(settings):
+            return _lifted.lifted_velocities(system, settings)
         gain = rates.get("gain")
         averaged = settings.completion == "least-squares"
         whole = velocity_observer(
@@ -192,10 +287,30 @@ class AbstractMechanism(AbstractDescription[M, VelocityObserverTable], abc.ABC, 
         return Unwrapped(each, system.angles) if any(system.angles) else each
 
     def columns(self, estimate: Any, log: Log) -> Columns:
+        if is_lifted(self.observer):
+            return self._of_filter(estimate)
         velocities = {name: np.asarray(e.value)[:, 0] for name, e in estimate.items()}
         for name, each in estimate.items():
             velocities |= certified(each, f"_{name}")
         return velocities
+
+    def _of_filter(self, estimate: Any) -> Columns:
+        """The columns of one filter of all velocities, which are certified together."""
+        names = tuple(quantity.columns[0] for quantity in self.quantities)
+        found = in_columns(names, estimate.value)
+        for name in names:
+            found |= certified(estimate, f"_{name}")
+        found |= _lifted.deviations_of(names, estimate)
+        return found | _lifted.parameters_of(self.parameter_names(), estimate)
+
+    def parameter_names(self) -> list[str]:
+        """One for each entry of a parameter that is not known, those of an array with
+        numbers."""
+        names: list[str] = []
+        for name in self.observer.parameters if is_adaptive(self.observer) else ():
+            count = _lifted.entries_of(self.plant(), name)
+            names += [name] if count is None else [f"{name}_{k + 1}" for k in range(count)]
+        return names
 
     def truth(self, log: Log) -> Columns:
         return {name.removesuffix("_true"): column for name, column in log.truth.items()}

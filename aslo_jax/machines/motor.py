@@ -33,6 +33,7 @@ from ._condensed import CondensedLog
 from ._lifted import (
     ObserverTable,
     deviations_of,
+    is_adaptive,
     is_lifted,
     lifted,
     parameters_of,
@@ -192,7 +193,8 @@ def motor_columns(
     noise = inductance * np.asarray(settings.output_deviation)
     deviation = turning_deviation(estimate, magnet, noise)
     found |= deviations_of(FLUX, estimate) | {f"deviation_{ANGLE}": deviation}
-    return found | parameters_of(settings, estimate)
+    names = settings.parameters if is_adaptive(settings) else ()
+    return found | parameters_of(names, estimate)
 
 
 class MagnetAngle(Module):

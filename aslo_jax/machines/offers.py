@@ -18,7 +18,6 @@ from ..observers import (
     FO2,
     FO3,
     AbstractObserver,
-    AdaptiveVelocities,
     AlgebraicObserver,
     Asymptotic,
     ExtendedKalman,
@@ -26,7 +25,6 @@ from ..observers import (
     HighGain,
     Joined,
     Lifted,
-    LiftedVelocities,
     Luenberger,
     OpenLoopIntegrator,
     SuperTwisting,
@@ -208,27 +206,12 @@ def of_mechanism(*, threshold: float) -> dict[str, Build]:
 
     def lifted(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         del start
-        return LiftedVelocities(
-            plant,
-            keys.output_deviation,
-            keys.input_deviation,
-            keys.force_deviation,
-            keys.prior,
-            guard=Guard(keys.threshold),
-        )
+        return _lifted.lifted_velocities(plant, keys)
 
     def adaptive(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         del start
         refuse_keys(keys, "hold", "bank")
-        return AdaptiveVelocities(
-            plant,
-            keys.output_deviation,
-            keys.input_deviation,
-            keys.parameters,
-            keys.deviations,
-            [keys.drift] * len(keys.parameters) if keys.drift else None,
-            keys.force_deviation,
-        )
+        return _lifted.lifted_velocities(plant, keys)
 
     def high_gain(keys: Any, plant: Any, start: Any) -> AbstractObserver:
         del start

@@ -12,7 +12,7 @@ from .._checks import is_concrete, kind, optional_real, positive, real
 from .._realise import Pass
 from .._typing import PyTree
 from ._adaptive_filter import ALIVE, REACH, AdaptiveKalman
-from ._adaptive_model import Model
+from ._adaptive_model import Model, leaf_of
 from ._base import AbstractObserver, Estimate
 from ._lifted import _deviation, curved_certificate
 from ._lifted_filter import hole_of
@@ -56,8 +56,8 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
       x; for a motor a [`FluxRelation`][], the magnet flux in it;
     - `output_deviation`, `input_deviation`: as of [`Lifted`][];
     - `parameters`: the names of the scalar leaves of the relation that are not known, such
-      as `("resistance", "magnet_flux")`. The first one is that of the bank: the one that
-      moves x, on which the rest depends most;
+      as `("resistance", "magnet_flux")`, of a derived one those of its model. The first one
+      is that of the bank: the one that moves x, on which the rest depends most;
     - `deviations`, shape `(q,)`: their standard deviations, relative to their values in the
       relation. The bank covers three times that of the first one, to both sides;
     - `drift`: their random walk, relative, for a temperature that changes: its standard
@@ -127,7 +127,7 @@ class Adaptive(AbstractObserver[AdaptiveEstimate]):
                 f"got {names!r}."
             )
         for name in names:
-            value = getattr(self.relation, name, None)
+            value = leaf_of(self.relation, name)
             if type(value) is object:
                 return
             if value is None or jnp.shape(value) != ():

@@ -6,16 +6,14 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
 from .._filters import AbstractLaw
-from .._small import safe_reciprocal
 from .._typing import PyTree
-from ._adaptive_model import Model, distance, slope_by_y, spread_of, turned
+from ._adaptive_member import LEARNING, Member, mirrored, stepped
+from ._adaptive_model import Model, slope_by_y
 from ._adaptive_start import Fit, Found, emptied, fitted, joined
-from ._lifted_filter import grown
 
 # The bank covers so many deviations of the first parameter, and each of its filters so much
 # of what is between two of them.
@@ -23,35 +21,11 @@ REACH, OVERLAP = 3.0, 0.7
 MOST, ENOUGH = 0.96, 0.6  # of the bank: certain, at once or after
 PATIENCE = 2.5  # times the samples that it took
 WIDENED = 64.0  # times the shortest window
-SMOOTHING = 50.0  # rad/s, of the y in slopes, in the frame that turns with the row
-# It follows y at once where that is away by more than so many times the variance of noise:
-# in a transient, slopes at a y that lags claim what the samples do not tell.
-FOLLOWED = 8.0
 MERGING = 1.0  # s, the least that the bank is kept
 ALIVE = 1e-3  # the weight of a rival
 AGREE = 0.8  # the cosine between directions of one solution
-# Below so many times the variance of noise alone, what is not known of x counts for nothing
-# against a member: ten thousand samples make much of a thousandth of a variance.
-LEAST = 1.3
-LEARNING = 0.3  # s in which information must come to be more than what noise feigns
-AVERAGE = 0.05  # s
 UNTRIED = 10.0  # times as fast as not to be held
 FAR = 0.1  # of its size: an x that may be off by so much in a hole is begun again
-
-
-class Member(NamedTuple):
-    """Kalman filters: `mean` of x and the relative errors of the parameters, shape
-    `(n + q,)`, and their covariance; y for slopes, now and `ahead`, at the next sample, and
-    its direction in the row, shape `(p,)`; how fast it learns of the first parameter (1/s);
-    the logarithm of a weight."""
-
-    mean: Float[Array, "*j N"]
-    covariance: Float[Array, "*j N N"]
-    smooth: Float[Array, "*j p"]
-    ahead: Float[Array, "*j p"]
-    direction: Float[Array, "*j p"]
-    learning: Float[Array, "*j"]
-    score: Float[Array, "*j"]
 
 
 class AdaptiveBelief(NamedTuple):
@@ -141,7 +115,7 @@ class AdaptiveKalman(AbstractLaw):
     def advance(self, X: PyTree, v0: PyTree, v1: PyTree, coefficients: PyTree) -> Any:
         (u, y0, before), (_, y1, hole) = v0, v1
         h = jnp.asarray(coefficients, X.mean.dtype)
-        sample = u, y0, y1, jnp.zeros_like(h) if hole is None else hole, h
+        sample = u, y0, y1, hole, h
         settled = lambda X: self._settled(X, sample)
         compete, begin = (
             lambda X: self._compete(X, sample),
@@ -164,12 +138,12 @@ class AdaptiveKalman(AbstractLaw):
 
     def _settled(self, X: AdaptiveBelief, sample: Any) -> AdaptiveBelief:
         """One filter; what it came from stays as it was."""
-        one, held, _ = self._step(X.one, X.age, sample, alone=True)
+        one, held, _ = stepped(self.model, X.one, self.hold, self.drift, sample)
         return X._replace(one=one, age=X.age + sample[-1], held=held)
 
     def _compete(self, X: AdaptiveBelief, sample: Any) -> AdaptiveBelief:
         """A filter for each member; they merge where no rival is left."""
-        step = lambda m: self._step(m, X.age, sample, alone=False)
+        step = lambda m: stepped(self.model, m, self.hold, self.drift, sample, X.age)
         members, held, loss = jax.vmap(step)(X.members)
         # What noise feigns, or a model that is nearly right, does not tell them apart.
         score = members.score - jnp.where(jnp.all(held), 0.0, loss)
@@ -189,7 +163,7 @@ class AdaptiveKalman(AbstractLaw):
     def _begin(self, X: AdaptiveBelief, sample: Any) -> AdaptiveBelief:
         """Fits, from which the filters start where they are certain."""
         u, y0, y1, hole, h = sample
-        missing = hole > 0.0
+        missing = jnp.asarray(False) if hole is None else hole > 0.0
         model, grid = self.model, self.grid()
 
         def onward(fit, e):
@@ -258,87 +232,6 @@ class AdaptiveKalman(AbstractLaw):
             return Member(mean, mirrored(P), flat, flat, direction, fast, score)
 
         return jax.vmap(member)(x, found.certain, found.covariance, grid, along, bent)
-
-    def _step(
-        self, m: Member, age: Array, sample: Any, alone: bool
-    ) -> tuple[Member, Array, Array]:
-        """One filter over an interval and with the y at its end; whether it holds the
-        parameters, and what the score of one that is not `alone` loses."""
-        u, y0, y1, hole, h = sample
-        missing = hole > 0.0
-        model, q = self.model, self.deviations.shape[0]
-        flat, unflat = ravel_pytree(y1)
-        n = m.mean.shape[0] - q
-        x, errors, P = m.mean[:n], m.mean[n:], m.covariance
-        z_of = lambda e, y: model.row(e, u, y).z
-        moved = x + 0.5 * h * (z_of(errors, y0) + z_of(errors, y1))
-        mean = jnp.concatenate([moved, errors])
-        entry = model.entry(errors, u, y1)
-        by_errors = h * jax.jacfwd(lambda e: z_of(e, unflat(m.ahead)))(errors)
-        # P of (x + by_errors errors, errors).
-        cross = P[:n, n:] + by_errors @ P[n:, n:]
-        square = P[:n, :n] + by_errors @ P[:n, n:].T + cross @ by_errors.T
-        # Each y is in the two intervals that it is between, a half in each.
-        by_u, by_y = h * entry.z_by_u, 0.5 * h * entry.z_by_y
-        square = square + by_u @ by_u.T + by_y @ by_y.T
-        lost = grown(hole) * jnp.sum((moved - x) ** 2)
-        square = square + lost * jnp.eye(n, dtype=square.dtype)
-        own = P[n:, n:] + h * jnp.diag(self.drift**2)
-        P = mirrored(_bordered(square, cross, own))
-
-        d = distance(model, mean, u, y1, m.ahead)
-        bent = d.curvature @ P[:n, :n]
-        shared = jnp.concatenate([by_y @ d.direction, jnp.zeros(q, P.dtype)])
-        Pa = P @ d.slope + shared
-        S = jnp.sum(d.slope * (Pa + shared)) + 1.0 + 0.5 * jnp.trace(bent @ bent)
-        inverse = 1.0 / S
-        surprise = d.value - d.mean - 0.5 * jnp.trace(bent)
-        told = d.slope[:n] @ by_y + d.direction  # of the noise of y by a distance
-        # Half of that noise will be in the next interval, of which the distance has told.
-        full = Pa.at[:n].add(by_y @ told)
-        gain = full * inverse
-        drop = full[:, None] * gain
-        share = (Pa[n] / P[n, n]) ** 2 * inverse / h
-        learning = m.learning + jnp.minimum(h / AVERAGE, 1.0) * (share - m.learning)
-        held = P[n, n] > self.hold**2
-        held = held & (learning * self.hold**2 * LEARNING < 1.0)
-        gain = gain.at[n:].set(jnp.where(held, 0.0, gain[n:]))
-        drop = drop.at[n:, n:].set(jnp.where(held, 0.0, drop[n:, n:]))
-        seen = jnp.where(missing, 0.0, 1.0)
-        mean = mean - seen * gain * surprise
-        P = P.at[:n, :n].add(3.0 * seen * by_y @ by_y.T) - seen * drop
-        onward = lambda y: turned(y, m.direction, d.direction)
-        smooth = onward(m.smooth)
-        away = jnp.mean(((flat - smooth) / spread_of(model, y1)) ** 2)
-        weight = jnp.minimum(h * SMOOTHING, 1.0)
-        loss = jnp.zeros_like(S)
-        if not alone:
-            weight = jnp.minimum(jnp.maximum(weight, h / (age + h)), 1.0)
-            # By the variance that noise of the sample alone would have, which differs from
-            # member to member, and with it how likely any y is, by as much: that cancels.
-            own = 1.0 / jnp.sum(told * told)
-            over = jnp.maximum(S * own, LEAST)
-            loss = 0.5 * seen * (surprise * surprise * own / over + jnp.log(over))
-        weight = jnp.maximum(weight, 1.0 - FOLLOWED * safe_reciprocal(away))
-        smooth = smooth + seen * weight * (flat - smooth)
-        # The row will turn by as much again.
-        P, turn = mirrored(P), d.direction
-        after = Member(mean, P, smooth, onward(smooth), turn, learning, m.score)
-        return after, held, loss
-
-
-def _bordered(square: Array, cross: Array, own: Array | float = 0.0) -> Array:
-    """A symmetric matrix of its parts: of x, of x with the parameters, of these."""
-    q = cross.shape[1]
-    own = jnp.broadcast_to(jnp.asarray(own, cross.dtype), (q, q))
-    upper = jnp.concatenate([square, cross], axis=1)
-    return jnp.concatenate([upper, jnp.concatenate([cross.T, own], axis=1)])
-
-
-def mirrored(P: Float[Array, "N N"]) -> Float[Array, "N N"]:
-    """A symmetric matrix by what is above its diagonal."""
-    above = np.triu(np.ones(P.shape, bool))
-    return jnp.where(above, P, P.T)
 
 
 def _slopes(x: Float[Array, "j n"]) -> Float[Array, "j n"]:

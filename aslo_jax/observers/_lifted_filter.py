@@ -141,7 +141,7 @@ class LiftedKalman(AbstractLaw):
             d.append(plus(blurred(m, P), plus(dot(m.J, m.J), m.by_u)))
         lists = Lists(r, mean + x, U + _unit(n, r), d + variance, [0.0 * one] * r)
         linear = tuple(k is None for k in sigmas)
-        still = [[0] * noise.rows[0].d.shape[0] for _ in range(r + n)]
+        still = [[0] * len(noise.rows[0].d) for _ in range(r + n)]
         lists, _ = _measured(lists, rows, noise, None, still, linear)
         return _packed(lists, dtype)
 
@@ -319,13 +319,13 @@ def _measured(
         innovation = less(less(m.value, dot(h, mean)), dot(m.J, known_n))
         value = plus(plus(innovation, dot(h, mean)), dot(m.J, known_n))
         # The noise of the value is in part in the state, so that the state tells of it.
-        shared = divided(U, [dot(e, m.J) for e in by_y])
+        shared, V = divided(U, [dot(e, m.J) for e in by_y]), plus(blur, own)
         told = [times(e, reciprocal(q)) for e, q in zip(shared, d, strict=True)]
-        V = less(plus(blur, own), dot(shared, told))
-        f = [jnp.where(moved, plus(a, b), 0.0) for a, b in zip(f, told, strict=True)]
-        share = dot([times(a, b) for a, b in zip(d[:r], f[:r], strict=True)], f[:r])
-        U, d, gain, inverse = measured(U, d, f, V)
+        seen = [plus(a, b) for a, b in zip(f, told, strict=True)][:r]
+        share = dot([times(a, b) for a, b in zip(d[:r], seen, strict=True)], seen)
+        U, d, gain, inverse = measured(U, d, f, V, shared, moved)
         if index + 1 < len(rows):
+            inverse = jnp.where(moved, inverse, reciprocal(less(V, dot(shared, told))))
             # What the next row has to know of the noise of y.
             q = [
                 plus(dot(h, [e[j] for e in by_y]), dot(spread_n[j], m.J)) for j in range(p)

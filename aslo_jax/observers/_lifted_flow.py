@@ -58,8 +58,8 @@ def flow(rows: tuple[Any, ...], noise: Any, interval: Any, X: LiftedBelief) -> L
     every = list(zip(rows, added(rows), noise.rows, noise.rows_by_u, strict=True))
 
     def entering(s: Sensitivity) -> list[Any]:
-        slopes = [dot(list(c), x) for c in columns(matrix(s.c))]
-        return [less(a, b) for a, b in zip(entries(s.d), slopes, strict=True)]
+        slopes = [dot(list(c), x) for c in columns(s.c)]
+        return [less(a, b) for a, b in zip(s.d, slopes, strict=True)]
 
     for row, k, s, s_by_u in every:
         if k is None:

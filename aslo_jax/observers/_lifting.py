@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 from .._factored import Rows, dot, less, plus, product, times
 from .._relations import AbstractTerms, Linear, Quadratic, Rate, Rows as Several
 from .._signals import check_signals
+from .._sparsity import listed
 from .._typing import PyTree
 
 Relation = Callable[[PyTree, PyTree], AbstractTerms | tuple[AbstractTerms, ...]]
@@ -74,16 +75,16 @@ def matrix(X: Array) -> Rows:
 
 class Sensitivity(NamedTuple):
     """How the noise of y, or of u, enters one row: the changes of c, shape `(n, p)`, and of
-    d and s, shape `(p,)`, by one standard deviation of each entry of it."""
+    d and s, shape `(p,)`, by one standard deviation of each entry of it; plain zeros where
+    it does not."""
 
-    c: Float[Array, "n p"]
-    d: Float[Array, " p"]
-    s: Float[Array, " p"]
+    c: Rows
+    d: list[Any]
+    s: list[Any]
 
     def regressors(self) -> Rows:
         """The covariance of the noise of c."""
-        C = matrix(self.c)
-        return [[dot(a, b) for b in C] for a in C]
+        return squares(self.c)
 
 
 class Noise(NamedTuple):
@@ -97,8 +98,7 @@ class Noise(NamedTuple):
 
     def z(self) -> Rows:
         """The covariance of the noise of z in one sample."""
-        both = [a + b for a, b in zip(self.z_by_u, self.z_by_y, strict=True)]
-        return [[dot(p, q) for q in both] for p in both]
+        return squares([a + b for a, b in zip(self.z_by_u, self.z_by_y, strict=True)])
 
 
 def noise_of(
@@ -106,10 +106,33 @@ def noise_of(
 ) -> Noise:
     """How white noise of u and y, of these standard deviations, enters the terms: by their
     derivatives."""
-    (v, to_u), (w, to_y) = ravel_pytree(u), ravel_pytree(y)
+    (by_u, rows_by_u), (by_y, rows) = (
+        _entering(which, relation, u, y, spread(deviation, (u, y)[which], name))
+        for which, name, deviation in (
+            (0, "input", input_deviation),
+            (1, "output", output_deviation),
+        )
+    )
+    return Noise(by_u, by_y, rows, rows_by_u)
 
-    def terms(v, w):
-        rows = rows_of(relation, to_u(v), to_y(w))
+
+def _entering(
+    which: int, relation: Relation, u: PyTree, y: PyTree, deviations: Float[Array, " p"]
+) -> tuple[Rows, tuple[Sensitivity, ...]]:
+    """What one of these deviations of each entry of u, or of y, changes in z and rows."""
+    by, each = listed(_slopes, which, relation, u, y)
+    s = entries(deviations)
+    line = lambda row: [times(e, q) for e, q in zip(row, s, strict=True)]
+    of_row = lambda c, d, e: Sensitivity([line(row) for row in c], line(d), line(e))
+    return [line(row) for row in by], tuple(of_row(*one) for one in each)
+
+
+def _slopes(which: int, relation: Relation, u: PyTree, y: PyTree) -> PyTree:
+    """The derivatives of z, and of c, d and s of each row, by u (0) or y (1), flat."""
+    v, back = ravel_pytree((u, y)[which])
+
+    def terms(v):
+        rows = rows_of(relation, *((back(v), y) if which == 0 else (u, back(v))))
         zero = jnp.zeros_like(rows[0].z[0])
         or_zero = lambda x: zero if x is None else x
         each = [
@@ -118,12 +141,7 @@ def noise_of(
         ]
         return rows[0].z, each
 
-    by_u, each_by_u = jax.jacfwd(lambda v: terms(v, w))(v)
-    by_y, each = jax.jacfwd(lambda w: terms(v, w))(w)
-    su, sy = spread(input_deviation, u, "input"), spread(output_deviation, y, "output")
-    rows = tuple(Sensitivity(c * sy, d * sy, s * sy) for c, d, s in each)
-    rows_by_u = tuple(Sensitivity(c * su, d * su, s * su) for c, d, s in each_by_u)
-    return Noise(matrix(by_u * su), matrix(by_y * sy), rows, rows_by_u)
+    return jax.jacfwd(terms)(v)
 
 
 def spread(deviation: PyTree, like: PyTree, name: str) -> Float[Array, " p"]:
@@ -218,12 +236,12 @@ def measurement_of(
 ) -> Measurement:
     """The measurement of a row; J at the estimate `x`."""
     if isinstance(row, Rate):
-        return Measurement(row.s, [0] * len(x), 1, entries(noise.s), None, None, 0)
+        return Measurement(row.s, [0] * len(x), 1, noise.s, None, None, 0)
     assert isinstance(row, Linear | Quadratic)
     sign = 1.0 if isinstance(row, Linear) else -1.0
 
     def entering(noise: Sensitivity) -> tuple[list[Any], list[Any]]:
-        C, d = matrix(noise.c), entries(noise.d)
+        C, d = noise.c, noise.d
         slopes = [dot([C[i][j] for i in range(len(x))], x) for j in range(len(d))]
         J = [less(times(sign, e), slope) for slope, e in zip(slopes, d, strict=True)]
         return J, [dot(c, J) for c in C]
@@ -261,8 +279,8 @@ def growth_of(
         a = [dot(row, motion.shift) for row in Q]
         QW = product(Q, covariance)
         b = 0.5 * plus(dot(a, motion.shift), sum(QW[i][i] for i in range(n)))
-        own: list[Any] = [0] * noise.d.shape[0]
-        own_by_u: list[Any] = [0] * noise_of_u.d.shape[0]
+        own: list[Any] = [0] * len(noise.d)
+        own_by_u: list[Any] = [0] * len(noise_of_u.d)
         column = [dot(row, moved) for row in Q]
         return Growth(a, b, column, own, own_by_u, product(QW, Q))
     assert isinstance(left, Rate) and isinstance(right, Rate)
@@ -297,7 +315,7 @@ def growth_of(
         b = b - half * (left.d + right.d)
 
     def entering(noise: Sensitivity) -> list[Any]:
-        C, d = matrix(noise.c), entries(noise.d)
+        C, d = noise.c, noise.d
         slopes = [dot([C[i][j] for i in range(n)], moved) for j in range(len(d))]
         return [times(h, less(e, slope)) for e, slope in zip(d, slopes, strict=True)]
 
@@ -335,7 +353,9 @@ def blurred(m: Measurement, P: Rows) -> Any:
 
 def squares(A: Rows) -> Rows:
     """`A A'`."""
-    return [[dot(p, q) for q in A] for p in A]
+    n = len(A)
+    above = {(i, j): dot(A[i], A[j]) for i in range(n) for j in range(i, n)}
+    return [[above[min(i, j), max(i, j)] for j in range(n)] for i in range(n)]
 
 
 # A row tells of x only where it has moved by this many times its variance: what noise of

@@ -249,6 +249,8 @@ def _variants(machine: AbstractDescription) -> Any:
         yield "ASLO, printed start", make(start="paper")
     if "gain" in fields:
         yield "A-ASLO", make(gain=20.0)
+    if not machine.finds_noise:
+        return
     if "lifted_kalman" in kinds and "start" in fields:
         yield "Kalman", make(kind="lifted_kalman")
     if "adaptive" in kinds:

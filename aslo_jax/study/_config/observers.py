@@ -98,8 +98,8 @@ class KalmanTable(AbstractObserverTable):
     kind: Literal["kalman"] = key("the kind of observer")
     process: Positive | Annotated[list[Positive], Field(min_length=1)] = key(
         "two-sided intensity of the noise on the acceleration (m^2/s^3, rad^2/s^3); of a "
-        'machine of kind "derived" on every rate, of a ready-made plant that is a model on '
-        "the rates over the squares of half the ranges (1/s)",
+        "plant that is a model, ready-made or one's own, on the rates, over the squares of "
+        "half the ranges (1/s)",
         allowed="a positive finite number, or a list of them",
     )
     measurement: Positive | Annotated[list[Positive], Field(min_length=1)] = key(
