@@ -19,6 +19,7 @@ RNG = np.random.default_rng(2)
 INERTIAS = jnp.asarray(RNG.uniform(0.5, 2.0, (7, 3)))
 
 
+@pytest.mark.slow
 def test_single_precision():
     single = lambda tree: jax.tree.map(
         lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, tree

@@ -104,6 +104,7 @@ def test_it_is_the_information_of_the_whole_record(names):
         assert known < 0.9 * deviations[k] ** 2
 
 
+@pytest.mark.slow
 def test_both_bounds_come_of_one_run():
     state = lambda v: MachineState(*map(jnp.asarray, (v[:2], v[2], v[3])))
     starts = np.stack([FIRST, FIRST + np.array([0.02, -0.01, 7.0, 0.9])])

@@ -34,6 +34,7 @@ def recorded(rows=400):
     return np.concatenate([[0.0], np.cumsum(h)]), u, q
 
 
+@pytest.mark.slow
 def test_parameters_are_those_of_an_output_error_fit():
     """With noise of the output alone both are the estimate of greatest likelihood."""
     t, u, q = recorded()

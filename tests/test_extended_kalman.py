@@ -202,6 +202,7 @@ def consistency(runs, model, process, measurement, start, spread, samples, h, u)
     return np.asarray(jax.jit(jax.vmap(run))(x0, noise, sensor)).mean(0)
 
 
+@pytest.mark.slow
 def test_pmsm_filter_is_consistent():
     """The normalised estimation error squared of 1000 runs has the mean 4 of its
     chi-squared law, within what chance allows once in a million: it knows its error."""

@@ -243,6 +243,7 @@ def test_switching_the_ripple_off_in_flight_loses_the_centre():
     assert jnp.sqrt(jnp.mean(q[2_000:] ** 2)) > 0.012  # against 0.008 with the ripple
 
 
+@pytest.mark.slow
 def test_in_continuous_time():
     """The same loop in one solve, and the sampled one approaches it."""
     loop = levitation()
@@ -280,6 +281,7 @@ def test_a_load_beyond_the_limit_does_not_wind_up():
     assert jnp.abs(q[t > 0.22]).max() < 0.01
 
 
+@pytest.mark.slow
 def test_gradients_through_the_loop():
     """The mean square of the position over 20 ms in the air, by bandwidth and ripple."""
     aware = eqx.tree_at(

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from motion import PrescribedPMSM
-from test_battery import DT, OBSERVERS, T, log
+from test_battery import DT, OBSERVERS, VARIANTS, T, log
 
 import aslo_jax as aslo
 
@@ -41,7 +41,12 @@ def each(estimate):
     return jax.tree.leaves(estimate, is_leaf=lambda e: isinstance(e, aslo.Estimate))
 
 
-@pytest.fixture(params=OBSERVERS, scope="module")
+@pytest.fixture(
+    params=[
+        pytest.param(n, marks=pytest.mark.slow if n in VARIANTS else ()) for n in OBSERVERS
+    ],
+    scope="module",
+)
 def name(request):
     return request.param
 
