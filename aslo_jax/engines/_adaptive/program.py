@@ -73,6 +73,7 @@ def adaptive(
             blank = flat(flatten(graph, make(bodies.first, inputs)[0], given.fixed))
         first = [*head, *starts, *blank]
     finish, final = make(bodies.finish, carry, saving, inputs)
+    graph.outlines.clear()  # their jaxprs cannot be sent to other processes
     loop = Loop(
         graph,
         flat(begun[:size]),
