@@ -73,7 +73,6 @@ def adaptive(
             blank = flat(flatten(graph, make(bodies.first, inputs)[0], given.fixed))
         first = [*head, *starts, *blank]
     finish, final = make(bodies.finish, carry, saving, inputs)
-    graph.outlines.clear()  # their jaxprs cannot be sent to other processes
     loop = Loop(
         graph,
         flat(begun[:size]),
@@ -83,4 +82,5 @@ def adaptive(
         final=flat(flatten(graph, finish, [*given.carry, *now, *given.fixed])),
         adaptive=Adaptive(entries),
     )
+    graph.outlines.clear()  # their jaxprs cannot be sent to other processes
     return Program(loop, columns, final, widths, without=WITHOUT, **choice)
