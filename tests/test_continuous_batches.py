@@ -1,5 +1,7 @@
 """Batches of continuous experiments: metrics, records and results by both engines."""
 
+import pickle
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -70,6 +72,8 @@ def test_a_runner_tells_its_shapes_and_takes_chunks(batch):
     joined = jax.tree.map(lambda *x: jnp.concatenate(x), *pieces)
     for ours, theirs in zip(*map(jax.tree.leaves, (joined, batch)), strict=True):
         np.testing.assert_array_equal(ours, theirs)
+    sent = pickle.loads(pickle.dumps(runner))
+    assert sent.shapes == runner.shapes
 
 
 @pytest.mark.slow

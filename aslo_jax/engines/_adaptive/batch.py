@@ -12,7 +12,7 @@ import numpy as np
 from ..._checks import is_concrete
 from ..._continuous import recorded
 from ..._typing import PyTree
-from .._frontend.outlining import name_of
+from .._frontend.outlining import ALWAYS, name_of
 from .._fused.plan import Batch, Plan
 from .._fused.program import Program
 from .._runtime.host import widths
@@ -87,7 +87,7 @@ class Continuous:
 
         states = traced(start, field)
 
-        def of(inputs):
+        def of(inputs, step=False):
             made = experiment(inputs)
             loop, _ = made.begun(steps)
             alike = states(inputs)
@@ -97,7 +97,7 @@ class Continuous:
             def rate(t, x):
                 return alike.rate(inputs, t, x)
 
-            rate.__name__ = name_of(pair.main)
+            rate.__name__ = name_of(pair.main if step else ALWAYS)
             jumps = np.empty(0) if loop.span is None else loop.span.jumps
             stepper = Stepper(pair, made.rtol, made.atol, jumps.size > 0)
             ends = (np.asarray(t, x.dtype) for t in (0.0, steps * made.interval))
@@ -115,7 +115,7 @@ class Continuous:
             return plan._kept(recorded(loop, jnp.zeros((), x.dtype), tree(x)))
 
         def advance(carry, inputs, _):
-            *_, rate, _, march = of(inputs)
+            *_, rate, _, march = of(inputs, step=True)
             return march.step(rate, carry)
 
         def save(saving, dense, inputs, _):

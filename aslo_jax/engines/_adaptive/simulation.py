@@ -9,7 +9,7 @@ import numpy as np
 
 from ..._checks import is_concrete
 from ..._typing import PyTree
-from .._frontend.outlining import name_of
+from .._frontend.outlining import ALWAYS, name_of
 from .._fused.kept import kept, key_of, shape_of
 from .._fused.program import Program
 from .._fused.refusal import notice
@@ -77,13 +77,13 @@ def bodies(system: System, plan: Plan) -> Bodies:
 
     states = traced(system.init, system.rate)
 
-    def of(arrays: PyTree) -> tuple[States, Callable]:
+    def of(arrays: PyTree, times: int = ALWAYS) -> tuple[States, Callable]:
         alike = states(arrays)
 
         def rate(t, x):
             return alike.rate(arrays, t, x)
 
-        rate.__name__ = name_of(pair.main)
+        rate.__name__ = name_of(times)
         return alike, jax.jit(rate)
 
     def begin(inputs):
@@ -96,7 +96,7 @@ def bodies(system: System, plan: Plan) -> Bodies:
         )
 
     def advance(carry, inputs, _):
-        return march.step(of(inputs["lane"])[1], carry)
+        return march.step(of(inputs["lane"], pair.main)[1], carry)
 
     def save(row, dense, inputs, _):
         alike, rate = of(inputs["lane"])

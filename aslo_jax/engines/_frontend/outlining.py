@@ -10,6 +10,7 @@ from .._ir.graph import BOOL, Graph
 from .._ir.several import Several
 
 NAME = "aslo_jax_outlined_"  # and a number, of a `jax.jit`
+ALWAYS = 1_000_000  # times: one that stays a function, short as it may be
 MOVING = 2  # its last arguments, which change over time
 
 
