@@ -16,7 +16,7 @@ from ._interconnection import Interconnection, Simulation
 from ._jumps import between_jumps, span
 from ._typing import ContinuousEngine, PyTree
 from .control import AbstractController
-from .control._base import controlled
+from .control._base import controlled, held_input
 from .disturbances import AbstractDisturbance, check_streams
 from .disturbances._streams import check_disturbances
 from .observers import AbstractObserver
@@ -123,7 +123,8 @@ def simulate(
             )
     check_disturbances(actuator, sensor, input_sensor)
     check_streams((actuator, sensor, input_sensor))
-    within = span((actuator, sensor, input_sensor), t0, t1)
+    held = (actuator, sensor, input_sensor, held_input(controller))
+    within = span(held, t0, t1)
     parts = (actuator, sensor, input_sensor, feedback, within)
     loop = Interconnection(plant, controller, dict(observers), *parts)
     asked = {

@@ -1,5 +1,7 @@
 """Forward derivatives of continuous runs by the fused engine."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,7 +26,9 @@ def run(at, engine="fused", **settings):
     observer = aslo.AlgebraicObserver(
         PLANT.relation(), aslo.LowPass(rate), aslo.Repeat(), guard=None, start="paper"
     )
-    given = dict(rtol=1e-9, atol=1e-11, initial=jnp.stack([position, velocity]))
+    given: dict[str, Any] = dict(
+        rtol=1e-9, atol=1e-11, initial=jnp.stack([position, velocity])
+    )
     given |= dict(t1=TS[-1], ts=TS, engine=engine)
     return aslo.simulate(PLANT, push, {"A": observer}, **(given | settings))
 
@@ -78,7 +82,9 @@ def test_derivatives_under_held_noise_and_a_guard_are_those_of_differences():
 
     def last(rate):
         observer = aslo.AlgebraicObserver(plant.relation(), aslo.LowPass(rate))
-        given = dict(rtol=1e-10, atol=1e-12, ts=TS, engine="fused", sensor=noise)
+        given: dict[str, Any] = dict(
+            rtol=1e-10, atol=1e-12, ts=TS, engine="fused", sensor=noise
+        )
         run = aslo.simulate(plant, jnp.sin, {"A": observer}, t1=TS[-1], **given)
         return run.estimates["A"].value[-1]
 

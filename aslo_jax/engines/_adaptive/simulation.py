@@ -256,8 +256,8 @@ def simulated(
         rates = [None if r is None else forward_only(r) for r in rates]
         given = tuple(jax.tree.unflatten(tree, each) for each in (leaves, rates))
         # Values are those of a run of their own: they do not depend on the direction.
-        found = called(leaves)
+        row, outcome = called(leaves)
         (_, rate), _ = simulated(beside_tangents(system), given, static, plan, 1)
-        return found, tangents_of(*found, rate)
+        return (row, outcome), tangents_of(row, outcome, rate)
 
     return called(leaves)
