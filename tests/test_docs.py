@@ -27,7 +27,7 @@ def blocks(text: str) -> list[tuple[str, str, int, int]]:
     return found
 
 
-LONG = ("calibration", "batches", "modelled-plants", "small-examples")
+LONG = ("calibration", "batches", "continuous-time", "modelled-plants", "small-examples")
 MARKED = [
     pytest.param(page, marks=[pytest.mark.slow] if page.stem in LONG else [])
     for page in PAGES
