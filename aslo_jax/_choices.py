@@ -12,6 +12,9 @@ RunningEngine: TypeAlias = Literal["fused", "scan"]
 # The same in continuous time.
 ContinuousEngine: TypeAlias = Literal["auto", "diffrax", "fused"]
 
+# What a recorded input is between its samples.
+Hold: TypeAlias = Literal["linear", "zero"]
+
 MOST_SUBSTEPS = 1000  # of a sampling interval
 
 # What becomes of samples that are missing.

@@ -15,7 +15,7 @@ from ._jumps import between_jumps, span
 from ._module import Module
 from ._typing import PyTree
 from .control import AbstractController
-from .control._base import controlled
+from .control._base import controlled, held_input
 from .disturbances import AbstractDisturbance, check_streams
 from .disturbances._streams import check_disturbances
 from .observers import AbstractObserver
@@ -70,7 +70,8 @@ class ContinuousExperiment(Module, Generic[Est]):
     def begun(self, steps: int) -> tuple[Interconnection, PyTree]:
         """The loop over so many intervals, and the first state of the plant."""
         disturbances = self.actuator, self.sensor, self.input_sensor
-        within = span(disturbances, 0.0, steps * self.interval)
+        held = *disturbances, held_input(self.controller)
+        within = span(held, 0.0, steps * self.interval)
         parts = *disturbances, self.feedback, within
         x0 = self.plant.initial() if self.initial is None else self.initial
         check_first(self.plant, x0)

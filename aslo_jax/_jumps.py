@@ -4,6 +4,7 @@ The vector field at a jump is two-valued. Steps end at the float before a jump a
 the ones after it, so that no stage of a solver sees both sides."""
 
 from collections.abc import Iterable
+from typing import Any
 
 import diffrax
 import jax
@@ -32,9 +33,10 @@ class Span(Module):
 
 
 def span(
-    disturbances: Iterable[AbstractDisturbance | None], t0: float, t1: float
+    disturbances: Iterable[AbstractDisturbance | Any], t0: float, t1: float
 ) -> Span | None:
-    """The span from `t0` to `t1` (s), or `None` where nothing jumps."""
+    """The span from `t0` to `t1` (s), or `None` where nothing jumps, neither disturbances
+    nor held inputs."""
     parts = [part for part in disturbances if part is not None and part.has_jumps]
     if not parts:
         return None

@@ -16,7 +16,7 @@ from ._interconnection import Interconnection, Simulation
 from ._jumps import between_jumps, span
 from ._typing import ContinuousEngine, PyTree
 from .control import AbstractController
-from .control._base import controlled
+from .control._base import controlled, held_input
 from .disturbances import AbstractDisturbance, check_streams
 from .disturbances._streams import check_disturbances
 from .observers import AbstractObserver
@@ -70,7 +70,8 @@ def simulate(
     - `max_steps`: that are tried at most;
     - `engine`: `"diffrax"`, the reference, differentiable, with Tsit5 unless it is given
       another `solver`; `"fused"` compiles the vector field and the steps to machine code
-      (the extra `study`), without derivatives; `jax.vmap` runs many systems beside each
+      (the extra `study`), with forward derivatives of the first order (`jax.jvp`,
+      `jax.jacfwd`); `jax.vmap` runs many systems beside each
       other in it, each with steps of its own, on all processors. `"auto"` is `"fused"`
       where that extra is installed, nothing is traced by `jax.jit` or a derivative, and
       nothing is asked of diffrax; a system that cannot be compiled runs by diffrax, with a
@@ -82,7 +83,8 @@ def simulate(
       `diffrax.ForwardMode()` for forward gradients.
 
     Held disturbances jump at known instants: both engines step to them, never across. The
-    fused engine takes Tsitouras' pair of orders 5 and 4 down to a `rtol` of 2e-5 and
+    fused engine integrates derivatives beside the states, to the same `rtol` and `atol`.
+    It takes Tsitouras' pair of orders 5 and 4 down to a `rtol` of 2e-5 and
     Verner's of 9 and 8 below, with interpolants of orders 4 and 9 at `ts`; its |x| is the
     largest value that the state has had up to now.
 
@@ -121,7 +123,8 @@ def simulate(
             )
     check_disturbances(actuator, sensor, input_sensor)
     check_streams((actuator, sensor, input_sensor))
-    within = span((actuator, sensor, input_sensor), t0, t1)
+    held = (actuator, sensor, input_sensor, held_input(controller))
+    within = span(held, t0, t1)
     parts = (actuator, sensor, input_sensor, feedback, within)
     loop = Interconnection(plant, controller, dict(observers), *parts)
     asked = {

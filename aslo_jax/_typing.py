@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         DesignName as DesignName,
         Engine as Engine,
         FilterStart as FilterStart,
+        Hold as Hold,
         Missing as Missing,
         Mode as Mode,
         RunningEngine as RunningEngine,
@@ -34,7 +35,7 @@ else:
 
     # While it runs, a word or number that does not fit is refused by a check of its own,
     # with an error that says which ones do.
-    Average = DesignName = Engine = FilterStart = Missing = Mode = str
+    Average = DesignName = Engine = FilterStart = Hold = Missing = Mode = str
     ContinuousEngine = RunningEngine = str
     Scale = Stopped = UsedMode = Winding = str
     Numbers = RealArray = HostArray = Any
@@ -45,6 +46,7 @@ __all__ = [
     "DesignName",
     "Engine",
     "FilterStart",
+    "Hold",
     "HostArray",
     "Missing",
     "Mode",

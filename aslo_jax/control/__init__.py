@@ -12,6 +12,7 @@ from ._magnetic_levitation import (
     BearingFeedback as BearingFeedback,
     MagneticLevitation as MagneticLevitation,
 )
+from ._recorded import RecordedInput as RecordedInput
 from ._reluctance_drive import ReluctanceDrive as ReluctanceDrive
 from ._state_feedback import StateFeedback as StateFeedback
 from ._tracking import (
@@ -30,6 +31,7 @@ __all__ = [
     "MechanicalFeedback",
     "MotorFeedback",
     "OpenLoop",
+    "RecordedInput",
     "ReluctanceDrive",
     "StateFeedback",
     "Tracking",

@@ -48,6 +48,12 @@ def controlled(controller: Any) -> AbstractController:
     raise unlike("controller", controller, hint)
 
 
+def held_input(controller: AbstractController) -> Any:
+    """What an open loop puts out where that is held and jumps, `None` otherwise."""
+    signal = controller.signal if isinstance(controller, OpenLoop) else None
+    return signal if getattr(signal, "has_jumps", False) else None
+
+
 class OpenLoop(AbstractController):
     """`u = signal(t)`, whatever is measured."""
 

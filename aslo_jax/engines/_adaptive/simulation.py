@@ -10,6 +10,7 @@ import numpy as np
 from ..._checks import is_concrete
 from ..._typing import PyTree
 from .._frontend.outlining import ALWAYS, name_of
+from .._fused.forward_only import forward_only, second
 from .._fused.kept import kept, key_of, shape_of
 from .._fused.program import Program
 from .._fused.refusal import notice
@@ -228,24 +229,38 @@ def warn(code: np.ndarray, stiff: np.ndarray) -> None:
         )
 
 
-def simulated(system: System, arrays: PyTree, static: PyTree, plan: Plan) -> Any:
+def simulated(
+    system: System, arrays: PyTree, static: PyTree, plan: Plan, order: int = 0
+) -> Any:
     """The rows, with a leading axis of the instants, and the outcome of a system. Under
-    `jax.vmap` the systems of a batch run beside each other. It has no derivative."""
+    `jax.vmap` the systems of a batch run beside each other. It has forward derivatives of
+    the first order; the system given is one of that `order`."""
     leaves, tree = jax.tree.flatten(arrays)
     ranks = [np.ndim(x) for x in leaves]
-    run = Simulation(system, plan, static, tree, ranks)
+    run = Simulation(system, plan, (static, order), tree, ranks)
     if is_concrete(*leaves):
         return jax.device_put(run([np.asarray(x) for x in leaves]))
-    shapes = run.shapes([jax.ShapeDtypeStruct(jnp.shape(x), x.dtype) for x in leaves])
 
     @jax.custom_jvp
     def called(leaves):
+        given = [jax.ShapeDtypeStruct(jnp.shape(x), x.dtype) for x in leaves]
+        run.program(given)
+        shapes = run.shapes(given)
         return jax.pure_callback(run, shapes, leaves, vmap_method="broadcast_all")
 
     @called.defjvp
-    def _refused(primals, tangents):
-        raise NotImplementedError(
-            'The fused engine has no derivatives in continuous time; use engine="diffrax".'
-        )
+    def pushed(primals, tangents):
+        from .derivatives import beside_tangents, rates_of, tangents_of
+
+        if order:
+            second(primals, tangents)
+        (leaves,), (rates,) = primals, tangents
+        rates = rates_of(leaves, rates)
+        rates = [None if r is None else forward_only(r) for r in rates]
+        given = tuple(jax.tree.unflatten(tree, each) for each in (leaves, rates))
+        # Values are those of a run of their own: they do not depend on the direction.
+        row, outcome = called(leaves)
+        (_, rate), _ = simulated(beside_tangents(system), given, static, plan, 1)
+        return (row, outcome), tangents_of(row, outcome, rate)
 
     return called(leaves)

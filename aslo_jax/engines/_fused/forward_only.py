@@ -9,11 +9,11 @@ from jax.interpreters import ad, batching, mlir, partial_eval
 REVERSE = (
     "The fused engine has forward derivatives only, but a reverse or linearised one was "
     "asked for (jax.grad, jax.vjp, jax.jacrev, jax.linearize). Use jax.jvp or jax.jacfwd, "
-    'or engine="scan".'
+    'or engine="scan", of `simulate` "diffrax".'
 )
 SECOND = (
     "The fused engine has first derivatives only, but the derivative of one was asked for "
-    '(jax.hessian, jax.jacfwd of jax.jacfwd). Use engine="scan".'
+    '(jax.hessian, jax.jacfwd of jax.jacfwd). Use engine="scan", of `simulate` "diffrax".'
 )
 
 

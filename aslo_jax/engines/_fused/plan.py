@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from ..._experiment import Experiment, Record
+from ..._experiment import Record
 from ..._module import Module
 from ..._typing import PyTree
 from ...metrics import AbstractMetric

@@ -33,12 +33,17 @@ def verify(loop: Loop) -> None:
     - `begin` and `first` use more than what is constant in time, or `final` more than that
       and the carry.
     """
+    last: tuple[int, ...] = ()  # the results of a function share their arguments
     for number, node in enumerate(loop.graph.nodes):
+        if node.args is last:
+            continue
+        last = node.args
         for a in node.args:
             if not 0 <= a < number:
                 _refuse(f"%{number} = {node.op} uses %{a}, which does not precede it")
+    seen: set[tuple[int, int]] = set()
     for number in loop.needed():
-        _node(loop.graph, number)
+        _node(loop.graph, number, seen)
     _pairs(loop, "begin", "carry")
     if loop.first:
         _pairs(loop, "first", "record")
@@ -71,8 +76,9 @@ def _pairs(loop: Loop, one: str, other: str) -> None:
             _refuse(f"entry {i} is {types}")
 
 
-def _node(graph: Graph, number: int) -> None:
-    """That it has the operands that it takes, and their type."""
+def _node(graph: Graph, number: int, seen: set[tuple[int, int]]) -> None:
+    """That it has the operands that it takes, and their type; of the results of a function
+    that have the same ones, `seen`, this is looked at once."""
     node = graph.nodes[number]
     what = f"%{number} = {node.op}"
     if node.op in ("const", "input"):
@@ -82,10 +88,10 @@ def _node(graph: Graph, number: int) -> None:
             _refuse(f"{what} of {node.dtype} is a {np.asarray(node.data).dtype}")
         return
     if node.op in ("dot", "call"):
-        _looped(graph, node, what)
+        _looped(graph, node, what, seen)
         return
     if node.op == "part":
-        _part(graph, node, what)
+        _part(graph, node, what, seen)
         return
     if node.op not in COUNTS and node.op not in FOLD and node.op not in COMMUTES:
         _refuse(f"{what} is no operation")
@@ -115,14 +121,18 @@ def _node(graph: Graph, number: int) -> None:
         _refuse(f"{what} takes {types[0]}")
 
 
-def _part(graph: Graph, node: Node, what: str) -> None:
+def _part(graph: Graph, node: Node, what: str, seen: set[tuple[int, int]]) -> None:
     """A result of a function with several."""
     function, k = node.data
     inner = function.graph
     if inner.dtype(function.results[k]) != node.dtype:
         _refuse(f"{what} is a result of {inner.dtype(function.results[k])}")
+    key = id(function), id(node.args)
+    if key in seen:
+        return
+    seen.add(key)
     for number in inner.reachable(list(function.results)):
-        _node(inner, number)
+        _node(inner, number, seen)
         slot = inner.nodes[number].data
         if inner.nodes[number].op != "input":
             continue
@@ -132,7 +142,7 @@ def _part(graph: Graph, node: Node, what: str) -> None:
             _refuse(f"{what} has an operand {slot[1]} of another type")
 
 
-def _looped(graph: Graph, node: Node, what: str) -> None:
+def _looped(graph: Graph, node: Node, what: str, seen: set[tuple[int, int]]) -> None:
     """An operation that many do in one loop."""
     types = {graph.dtype(a) for a in node.args}
     if types != {node.dtype} or node.dtype.kind != "f":
@@ -145,7 +155,7 @@ def _looped(graph: Graph, node: Node, what: str) -> None:
     if inner.dtype(node.data.result) != node.dtype:
         _refuse(f"{what} calls a function that gives {inner.dtype(node.data.result)}")
     for number in inner.reachable([node.data.result]):
-        _node(inner, number)
+        _node(inner, number, seen)
         slot = inner.nodes[number].data
         if inner.nodes[number].op == "input" and (
             slot[0] != "argument" or not 0 <= slot[1] < len(node.args)
