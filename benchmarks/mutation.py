@@ -10,6 +10,7 @@ left the quick ones of the other files of its module, and the last ones the rest
 
 import argparse
 import difflib
+import fcntl
 import json
 import os
 import random
@@ -17,7 +18,7 @@ import re
 import shutil
 import sys
 from collections import Counter
-from itertools import accumulate
+from itertools import accumulate, chain
 from pathlib import Path
 
 from cosmic_ray.commands import init
@@ -40,9 +41,11 @@ COPIED = ("aslo_jax", "tests", "pyproject.toml", "README.md", "LICENSE")
 TESTS = {
     "_filters": "filters oracle sampled small realise step relations refused_values",
     "_realise": "realise oracle once step filters sampled hidden_errors missing",
-    "_relations": "oracle relations rows sampled once refused_values refusals gradients",
-    "_swapped": "oracle relations sampled rows limits paced_rates",
-    "_completions": "oracle rows guard sampled two_rates refused_values errors missing",
+    "_relations": "oracle certificate relations rows sampled once refused_values refusals"
+    " gradients",
+    "_swapped": "swapped oracle relations sampled rows limits paced_rates",
+    "_completions": "oracle certificate rows guard sampled two_rates refused_values errors"
+    " missing",
     "_guard": "oracle guard refused_values sampled missing",
     "_replay": "oracle once sampled step errors refusals hidden_errors missing",
 }
@@ -52,9 +55,10 @@ TESTS = {
 # `overload`, which are for pyright.
 TRIVIAL = re.compile(r"BinaryOperator_(BitOr_|BitAnd_|.*_(Bit|RShift|LShift))")
 STUB = re.compile(r"^@overload\n(.*\n)+?.*\.\.\.$", re.MULTILINE)
-# Seconds of processor that the quick tests of one file, and those of all files, take
-# together where nothing is changed.
-QUICK = 3.0, 6.0
+# Seconds of processor that the quick tests of the first file, and those of every other one,
+# take together where nothing is changed.
+QUICK = 3.0, 3.0
+PARTS = 3
 LATEST = 1200.0  # seconds for the tests of a mutant, of which one may loop for ever
 
 
@@ -63,8 +67,15 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--count", type=int, default=300, help="mutants in the sample")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
     parser.add_argument("--work", type=Path, default=Path("mutation"), help="where to work")
+    parser.add_argument("--quick", action="store_true", help="without what takes long")
     asked = parser.parse_args(argv)
     work = asked.work.resolve()
+    work.mkdir(parents=True, exist_ok=True)
+    lock = (work / "lock").open("w")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        sys.exit(f"Another run works in {work}.")
     tree = work / "tree"
     if not tree.exists():
         copied(ROOT, tree)
@@ -78,7 +89,7 @@ def main(argv: list[str] | None = None) -> int:
         if not db.num_work_items:
             init([tree / path_of(name) for name in TESTS], db, {})
         chosen = sample(db, asked.count, asked.seed)
-        for part in range(len(QUICK) + 1):
+        for part in range(PARTS - asked.quick):
             done = {item.job_id for item, _ in db.completed_work_items}
             for item in chosen:
                 if item.job_id not in done:
@@ -179,7 +190,7 @@ def tested(item: WorkItem, db: WorkDB, work: Path, record: Record, part: int) ->
     begun = processor()
     result = mutated(item, work, parts(item, record)[part])
     taken = f"{processor() - begun:5.1f} s"
-    if part < len(QUICK) and result.test_outcome == TestOutcome.SURVIVED:
+    if part < PARTS - 1 and result.test_outcome == TestOutcome.SURVIVED:
         path.write_text(json.dumps(left | {item.job_id: part + 1}))
         print(taken, "left        ", line(item), flush=True)
         return
@@ -194,21 +205,22 @@ def processor() -> float:
 
 
 def parts(item: WorkItem, record: Record) -> tuple[list[str], ...]:
-    """The tests that run the line of a mutant: the quick ones of the first file that has
-    any, the quick ones of all files, and the rest, file by file."""
+    """The tests that may notice a mutant, of every file that runs its line: the quick ones
+    of the first file, the quick ones of the others, and the rest, file by file; in each
+    those first that run the line, and the quick ones of them. The others of a file may look
+    at what these have left: at a fixture, or at a program."""
     module, (row, _) = place(item)
-    files = files_for(module)
-    tests = record.running(module, row, files)
-    first = min((files.index(test.split("::")[0]) for test in tests), default=0)
-    quick = within(QUICK[0], [t for t in tests if t.startswith(files[first])], record)
-    more = within(QUICK[1], [t for t in tests if t not in quick], record)
-    rest = [t for t in record.times if t in tests and t not in quick and t not in more]
-    return quick, more, rest
+    of = [record.tests(module, row, file) for file in files_for(module)]
+    of = [each for each in of if each]
+    quick = [within(QUICK[k > 0], each, record) for k, each in enumerate(of)]
+    rest = [[test for test in a if test not in b] for a, b in zip(of, quick, strict=True)]
+    return tuple([*chain(*each)] for each in (quick[:1], quick[1:], rest))
 
 
 def within(limit: float, tests: list[str], record: Record) -> list[str]:
-    taken = accumulate(record.times[test] for test in tests)
-    return [test for test, sum_ in zip(tests, taken, strict=True) if sum_ <= limit]
+    """As many of the first `tests` as take less than the `limit` (s), and at least one."""
+    taken = [*accumulate(record.times[test] for test in tests)]
+    return tests[: max(1, sum(each < limit for each in taken))]
 
 
 def mutated(item: WorkItem, work: Path, tests: list[str]) -> WorkResult:

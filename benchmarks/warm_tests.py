@@ -57,14 +57,15 @@ class Record(NamedTuple):
         }
         return cls(found["times"], lines)
 
-    def running(self, module: str, row: int, files: list[str]) -> list[str]:
-        """The tests of `files` that run a line, the quick ones first. A line that none is
-        known to run may be a part of a longer one, and is for all of them."""
+    def tests(self, module: str, row: int, file: str) -> list[str]:
+        """The tests of a file, those first that run a line, and the quick ones of them;
+        none where no test does. A line that no test is known to run may be a part of a
+        longer one, and is for all of them."""
         known = self.lines.get(module, {}).get(row)
-        asked = self.times if known is None else known
-        return sorted(
-            (test for test in asked if test.split("::")[0] in files), key=self.times.get
-        )
+        every = [test for test in self.times if test.split("::")[0] == file]
+        running = {*every} if known is None else {*every} & {*known}
+        order = lambda test: (test not in running, self.times[test])
+        return sorted(every, key=order) if running else []
 
 
 class Recorder:

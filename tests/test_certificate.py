@@ -21,7 +21,7 @@ import aslo_jax as aslo
 from aslo_jax.observers import AbstractObserver
 
 FILTER = aslo.LinearFilter([[-3.0, 1.0], [-2.0, -4.0]], [0.7, 3.0], [1.0, 0.4])
-BANK = aslo.LowPass(7.0), aslo.LowPass(1.7)
+BANK = aslo.LowPass(7.0), aslo.LowPass(1.7), aslo.LowPass(3.1)  # one more than are needed
 FORGETTING = 6.0  # rad/s
 INTERVAL = 0.02  # s
 TIMES = INTERVAL * jnp.arange(60)
@@ -207,7 +207,7 @@ def test_with_the_papers_start_constant_rows_have_settled():
     for name, each in rows.items():
         R = np.array(each)
         R = R / (np.abs(R).max(axis=0) + scale)
-        expected[name] = harmonic(R.T @ R / 3)
+        expected[name] = harmonic(R.T @ R / len(R))
     for name, (value, certificate) in found.items():
         np.testing.assert_allclose(certificate, expected[name], rtol=1e-8)
         error = np.abs(value - jax.vmap(motion)(times)).max(axis=1)

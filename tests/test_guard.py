@@ -5,9 +5,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.integrate
 from motion import observe
 
 import aslo_jax as aslo
+from aslo_jax._guard import Memory
 
 R, L, m = 8.875, 40.03e-3, 0.2086
 
@@ -209,3 +211,21 @@ def test_at_its_threshold_an_estimate_is_not_let_through():
     guard = aslo.Guard(0.03)
     assert not guard.certified(guard.threshold)
     assert guard.certified(guard.threshold * (1.0 + 1e-15))
+
+
+def test_in_continuous_time_the_memory_follows_what_it_trusts():
+    """Exponentially to a value, with the tracking rate times the trust; along the known
+    derivative without trust."""
+    memory = Memory(jnp.asarray(30.0))
+    begun, value, rate = (
+        jnp.array(each) for each in ([0.4, -2.0], [1.1, 0.3], [5.0, -7.0])
+    )
+    for trust in (0.0, 0.25, 1.0):
+        drive = value, jnp.asarray(True), jnp.asarray(trust), rate
+        slope = lambda t, c, drive=drive: memory.flow(jnp.asarray(c), drive)
+        found = scipy.integrate.solve_ivp(slope, (0.0, 0.1), begun, rtol=1e-9, atol=1e-12)
+        v = 30.0 * trust
+        left = np.exp(-0.1 * v)
+        along = rate * ((1.0 - left) / v if v else 0.1)
+        expected = value + left * (begun - value) + along
+        np.testing.assert_allclose(found.y[:, -1], expected, rtol=1e-7)

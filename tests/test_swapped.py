@@ -1,11 +1,22 @@
 """What the Swapping Lemma carries from the left end of an interval to its right one."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
 
-from aslo_jax._swapped import Motion, back
+from aslo_jax._swapped import (
+    FACTOR,
+    INFORMATION,
+    KNOWN,
+    PRODUCT,
+    ROW,
+    Carried,
+    Motion,
+    Turning,
+    back,
+)
 
 INTERVAL = 0.07
 A = np.array([[-1.2, 2.0, 0.3], [-2.5, 0.4, 0.0], [0.9, -0.7, 1.1]])
@@ -59,3 +70,43 @@ def test_back_without_a_matrix_is_the_area_of_the_line():
     np.testing.assert_allclose(by.e, -before(np.zeros(3), zero), rtol=1e-12)
     assert by.row(r) is r
     assert by.column(r) is r
+
+
+RNG = np.random.default_rng(11)
+M = jnp.asarray(RNG.normal(size=(3, 3)))
+ROWS = jnp.asarray(RNG.normal(size=(2, 3)))  # of a filter with two states
+KNOWNS, H = jnp.asarray(RNG.normal(size=(2, 2)))
+Q = jnp.asarray(RNG.normal(size=(3, 3)))
+TURNS = [Turning(H, H, Q + Q.T), Turning(H, H, jnp.asarray(0.7))]
+
+
+CASES = {
+    "row": (ROW, ROWS, None, None),
+    "factor of a matrix": (FACTOR, ROWS, None, TURNS[0]),
+    "factor of a number": (FACTOR, ROWS, None, TURNS[1]),
+    "product": (PRODUCT, KNOWNS, ROWS, None),
+    "known": (KNOWN, jnp.asarray(RIGHT), M, None),
+    "information": (INFORMATION, M, None, None),  # nothing is carried without A
+}
+
+
+@pytest.mark.parametrize(
+    ("case", "matrix"),
+    [(name, jnp.asarray(A)) for name in CASES] + [(name, None) for name in [*CASES][:-1]],
+)
+def test_short_intervals_give_the_derivative(case, matrix):
+    """What is carried over an interval grows with it at first as what is added to the
+    derivative says, and stays where there is no interval."""
+    rule, state, factor, turning = CASES[case]
+    motion = Motion(jnp.asarray(LEFT), matrix)
+
+    def carried(h):
+        by = back(motion, motion, h)
+        turned = 0.0 if turning is None else turning.by(turning.H, by.e)
+        return rule.carried(state, factor, turned, by)
+
+    value, slope = jax.jvp(carried, (jnp.zeros(()),), (jnp.ones(()),))
+    added = rule.added(state, Carried(None, motion, factor, None, turning))
+    np.testing.assert_allclose(value, state, rtol=1e-14)
+    np.testing.assert_allclose(slope, added, rtol=1e-12, atol=1e-14)
+    assert np.any(added != 0.0) != (rule is ROW and matrix is None)
