@@ -86,16 +86,19 @@ def outcome(code: Code) -> Outcome:
 
 
 def _noise(code: Code, seed: int) -> dict[str, np.ndarray]:
-    """For every lane; none of seed 0, and of an odd one what is opposite to the next."""
+    """For every lane; none of seed 0, and of an odd one what is opposite to the next, but
+    for signs."""
     F = np.dtype(code.real)
     shape = (ORACLE, SITES + 12)
     if not seed:
         return {name: np.ones(shape, F) for name in NOISE}
-    rng = np.random.default_rng([code.seed, (seed + 1) // 2])
-    part, sign = rng.uniform(-1, 1, shape), rng.choice([-1, 1], shape)
+    part = np.random.default_rng([code.seed, (seed + 1) // 2]).uniform(-1, 1, shape)
     turned = 1 if seed % 2 else -1
     near = (1 + turned * SHARE * np.finfo(F).eps * part).astype(F)
-    sign = (turned * sign).astype(F)
+    # A pattern over the runs for each place, never all alike: where a zero passes several
+    # places, their signs must not cancel in every run.
+    pattern = np.random.default_rng(code.seed).integers(1, 4**PAIRS, shape)
+    sign = (1 - 2 * (pattern >> (seed - 1) & 1)).astype(F)
     over = np.full(shape, 1.0 if seed % 2 else np.inf, F)
     return dict(zip(NOISE, (near, sign * near, over, sign), strict=True))
 

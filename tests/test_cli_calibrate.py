@@ -14,7 +14,7 @@ from machine_records import motor_log
 import aslo_jax as aslo
 from aslo_jax._choices import RecordError
 from aslo_jax.cli import main
-from aslo_jax.cli._calibrated import as_json
+from aslo_jax.cli._calibrated import as_json, turned
 from aslo_jax.described import calibrate_machine, calibrated_text as rewritten
 from aslo_jax.described._calibrated import _near
 from aslo_jax.logs import read_log, write_table
@@ -201,6 +201,34 @@ def test_a_log_in_other_units_changes_nothing_and_is_named(tmp_path, capsys):
     told = capsys.readouterr().err
     assert "the currents are in mA, not in A" in told and "--fit" not in told
     assert out.read_text() == MACHINE
+
+
+def test_voltages_that_are_scaled_are_told_beside_the_parameters_that_explain_them(
+    tmp_path, capsys
+):
+    """Resistance, inductance and flux all 1.2247 times: the log cannot tell which it is."""
+    data, before, out = (tmp_path / n for n in ("l.csv", "m.toml", "n.toml"))
+    right = MACHINE.replace("9.3 ", "8.875 ").replace("38e-3", "40.03e-3")
+    before.write_text(right.replace("0.212 ", "0.2086 "))
+    t, u, y = turning()
+    written(data, t, 1.5**0.5 * u, y)
+    assert run(["calibrate", data, "--machine", before, "--out", out, "--quiet"]) == 0
+    told = capsys.readouterr().err
+    assert "warning: either the parameters are those found, or with those of the" in told
+    assert "power-invariant frame" in told
+    assert read_machine(out).constants()["resistance"] == pytest.approx(
+        1.5**0.5 * 8.875, rel=5e-3
+    )
+
+
+def test_an_error_that_no_sign_mends_is_not_taken_for_a_sign():
+    refusal = "No calibration: with the sign of all outputs turned"
+    sign = {"kind": "sign", "message": "the currents have the wrong sign"}
+    own = {"kind": "inconsistent", "message": "the log does not fit"}
+    scale = {"kind": "current_scale", "message": "the currents are 31 times too large"}
+    assert turned(refusal, [own, sign]) == refusal
+    assert turned(refusal, []) == refusal
+    assert turned(refusal, [scale, own]) == f"No calibration: {scale['message']}."
 
 
 def test_values_far_from_those_of_the_file_are_not_trusted():

@@ -103,6 +103,7 @@ def calibrate(
     from ..machines import read_machine
     from ..tune._calibration.problem import Unobservable
     from ..tune._calibration.result import UNSETTLED
+    from ..tune._calibration.start import Turned
     from . import _calibrated as report
 
     given: dict[str, Any] = {"cutoff": cutoff, "resolution": resolution}
@@ -141,7 +142,7 @@ def calibrate(
     text = machine.read_text(encoding="utf-8")
     with staged(*outputs.values()) as parts:
         recorded = read_log(log, description.signals, truth=False, **chain)
-        said = report.verdict(log, description, **chain)
+        first = said = report.verdict(log, description, **chain)
         found, values, after = None, {}, description
         if why := report.other_units(said):
             say(f"no search: {why}")
@@ -153,6 +154,8 @@ def calibrate(
             except Unobservable as error:
                 why = str(error)
                 said.append({"kind": "nothing_determined", "message": why, "rows": []})
+            except Turned as error:
+                raise ValueError(report.turned(str(error), said)) from None
         if found is not None and found.reason == UNSETTLED:
             also = "".join(
                 f"; estimate says of the log: {each['message']}" for each in said
@@ -169,6 +172,7 @@ def calibrate(
             after = read_machine(parts[0])
             report.check_calibrated(description, after, recorded, found)
             said = report.verdict(log, after, **chain)
+            said += report.taken_up(first, said)
         warned = said if found is None else report.warnings(found, said, description)
         if plot:
             _draw(parts[1], log.name, recorded, description, after, found)

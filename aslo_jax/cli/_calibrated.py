@@ -40,6 +40,9 @@ OWN = {"resistance", "inductance", "radius", "inconsistent", "noise"}
 OWN |= {kind for kinds in EXPLAINED.values() for kind in kinds}
 # A thousand times: no parameter that one would start from looks like that.
 UNITS = ("current_unit", "voltage_unit", "time_unit")
+# Errors of a log that other parameters explain as well: with voltages or currents that are
+# scaled, every motor's resistance, inductance and flux are.
+SCALES = ("power_invariant", "voltage_scale", "current_scale")
 
 Warned = list[dict[str, Any]]
 
@@ -58,6 +61,34 @@ def verdict(path: Path, machine: AbstractDescription, **reading: Any) -> Warned:
 def other_units(said: Sequence[Mapping[str, Any]]) -> str:
     """What a verdict has `said` of the units of a log, if anything."""
     return "; ".join(each["message"] for each in said if each["kind"] in UNITS)
+
+
+def turned(refusal: str, said: Sequence[Mapping[str, Any]]) -> str:
+    """The `refusal` of a log whose outputs seem to have the wrong sign, or what the verdict
+    has `said` where that is another error: with it no sign fits, and the better one of two
+    tells nothing."""
+    others = [
+        each["message"] for each in said if each["kind"] not in {*OWN, "sign"} - {*SCALES}
+    ]
+    return f"No calibration: {'; '.join(others)}." if others else refusal
+
+
+def taken_up(
+    first: Sequence[Mapping[str, Any]], said: Sequence[Mapping[str, Any]]
+) -> Warned:
+    """Scales of the log that the `first` verdict told of, and that of the new parameters,
+    `said`, does not: these have taken them up."""
+    still = {each["kind"] for each in said}
+    return [
+        {
+            "kind": each["kind"],
+            "message": "either the parameters are those found, or with those of the file "
+            + each["message"],
+            "rows": [],
+        }
+        for each in first
+        if each["kind"] in SCALES and each["kind"] not in still
+    ]
 
 
 def warnings(

@@ -14,6 +14,11 @@ from .predict import Relation
 from .relative import Observers, Relative
 from .whiten import Signals
 
+
+class Turned(ValueError):
+    """A record that fits the machine far better with the sign of its outputs turned."""
+
+
 STARTS = 2  # of several, that are followed
 CLEAR = 5.0  # times better is no chance
 UNSURE = 3.0  # of half the sum of squares, below which a fit leaves nothing to ask
@@ -57,7 +62,7 @@ def first_guess(
     h, u, y = signals
     turned = Relative(parameters, observers, t, Signals(h, u, -y), open_constants, tested)
     if cost > UNSURE and _solved(turned)[1] < cost / CLEAR:
-        raise ValueError(
+        raise Turned(
             "No calibration: with the sign of all outputs turned the log fits the "
             f"machine at least {CLEAR:g} times better; are currents counted out of it? "
             "Turn their sign (option --column, for instance i_alpha=-i_alpha), or that of "
