@@ -69,7 +69,7 @@ def test_it_is_known_under_transformations():
 
 @pytest.mark.slow
 def test_a_step_takes_the_operations_that_it_needs():
-    """Beside those of an algebraic observer: 1.22 and 2.05 times as many."""
+    """Beside those of an algebraic observer: 1.2 and 2.05 times as many."""
     from benchmarks.quality.operations import counted_observer, operations
 
     relation = aslo.plants.PMSM.bmp0701f().flux_relation()
