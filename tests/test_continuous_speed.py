@@ -91,12 +91,12 @@ def test_a_function_is_put_into_a_graph_once():
     x = np.array([graph.input(np.float64, ("carry", k)) for k in range(3)])
     scale = np.array([graph.input(np.float64, ("lane", k)) for k in range(3)])
     (found,) = flatten(graph, closed, [x, scale])
-    (_, outline), *others = graph.outlines.values()
+    (_, outline), *others = graph.outlined.values()
     assert not others and len(outline.results) == 3 and len(seen) == 1
     needed = graph.reachable([int(n) for n in found])
     assert sum(graph.nodes[n].op == "part" for n in needed) == 9
     flatten(graph, closed, [x, scale[::-1]])
-    assert len(graph.outlines) == 2
+    assert len(graph.outlined) == 2
 
 
 # -- the controller of the step -----------------------------------------------------------

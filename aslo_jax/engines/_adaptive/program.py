@@ -82,5 +82,4 @@ def adaptive(
         final=flat(flatten(graph, finish, [*given.carry, *now, *given.fixed])),
         adaptive=Adaptive(entries),
     )
-    graph.outlines.clear()  # their jaxprs cannot be sent to other processes
     return Program(loop, columns, final, widths, without=WITHOUT, **choice)
