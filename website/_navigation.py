@@ -92,6 +92,8 @@ def pages() -> dict[str, str | bytes]:
     found: dict[str, str | bytes] = {"index.md": front_page()}
     for page in sorted((ROOT / "docs").glob("*.md")):
         found[page.name] = to_pages(page.read_text("utf-8"))
+    for picture in sorted((ROOT / "docs").glob("*.png")):
+        found[picture.name] = picture.read_bytes()
     found |= notebook_pages() | gallery_pages()
     found |= reference_pages()
     found["site.css"] = (Path(__file__).parent / "site.css").read_text("utf-8")

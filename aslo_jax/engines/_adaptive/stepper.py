@@ -234,7 +234,8 @@ def _log2(x: Any) -> Any:
 
 def _exp2(x: Any) -> Any:
     whole = jnp.floor(x)
-    bits = (whole.astype(jnp.int32) + 127) << 23
+    # The low bits of the sum are the exponent: a conversion has no instruction for vectors.
+    bits = jax.lax.bitcast_convert_type(whole + (2.0**23 + 127.0), jnp.int32) << 23
     part = x - whole
     return jax.lax.bitcast_convert_type(bits, x.dtype) * _horner(EXP2, part)
 
