@@ -41,7 +41,7 @@ class Continuous:
         self.plan, self.steps, self.every, self.threads = plan, steps, every, threads
         self.sample, self.tree = jax.tree.flatten(like)
         made: Any = eqx.filter_eval_shape(plan.make, like)
-        self.max_steps = made.max_steps
+        self.max_steps, self.pair = made.max_steps, pair_for(made.rtol)
 
     def __getstate__(self) -> dict[str, Any]:
         """What runs."""
@@ -78,22 +78,27 @@ class Continuous:
         def experiment(inputs) -> Any:
             return plan.make(jax.tree.unflatten(self.tree, inputs["lane"]))
 
+        trees: list[Any] = []  # of the state, known from the first trace on
+
+        def field(lane, t, x):
+            loop, _ = experiment({"lane": lane}).begun(steps)
+            return ravel_pytree(loop.vector_field(t, trees[0](x), None))[0]
+
+        field.__name__ = name_of(self.pair.main)
+        field = jax.jit(field)  # traced once
+
         def of(inputs):
-            made = experiment(inputs)
+            made, pair = experiment(inputs), self.pair
             loop, x0 = made.begun(steps)
             start = loop.init(jnp.zeros((), jnp.result_type(float)), x0)
             x, tree = ravel_pytree(start)
-            pair = pair_for(made.rtol)
-
-            def rate(t, x):
-                return ravel_pytree(loop.vector_field(t, tree(x), None))[0]
-
-            rate.__name__ = name_of(pair.main)
+            trees.append(tree)
+            rate = functools.partial(field, inputs["lane"])
             jumps = np.empty(0) if loop.span is None else loop.span.jumps
             stepper = Stepper(pair, made.rtol, made.atol, jumps.size > 0)
             ends = (np.asarray(t, x.dtype) for t in (0.0, steps * made.interval))
             march = March(stepper, jumps, *ends)
-            return made, loop, x, tree, jax.jit(rate), stepper, march
+            return made, loop, x, tree, rate, stepper, march
 
         def begin(inputs):
             _, loop, x, tree, rate, _, march = of(inputs)
