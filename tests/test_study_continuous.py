@@ -12,6 +12,7 @@ import aslo_jax as aslo
 from aslo_jax import study
 from aslo_jax._studies import ready_made
 from aslo_jax.cli import main
+from aslo_jax.cli._explorer._scene import scene_of
 from aslo_jax.described import tune_study
 from aslo_jax.study._cluster import local_cluster
 from aslo_jax.study._config import ConfigurationError, configure
@@ -210,6 +211,13 @@ def test_an_observer_of_samples_takes_those_of_the_interval():
     motor["observers"] = {"L": motor["observers"]["Lifted Kalman"]}
     observer: Any = configure(motor).experiment.observers["L"]
     assert observer.interval == motor["interval"]
+
+
+def test_it_is_not_explored():
+    with pytest.raises(
+        ConfigurationError, match=r"must be .sampled. to be explored"
+    ):
+        scene_of(CONTENT)
 
 
 def test_there_is_no_bound():

@@ -165,10 +165,14 @@ def scene_of(content: Mapping[str, Any], title: str | None = None) -> Scene:
     """The scene of a study's `content`, checked as a whole unless it is ready made and has
     a `title`.
 
-    **Raises:** [`ConfigurationError`][] for a content that is not right, or of a kind of
-    machine that is not explored.
+    **Raises:** [`ConfigurationError`][] for a content that is not right, in continuous
+    time, or of a kind of machine that is not explored.
     """
     new = copy.deepcopy(dict(content))
+    if new.get("time") == "continuous":
+        raise ConfigurationError(
+            '`time` must be "sampled" to be explored, but is "continuous".'
+        )
     kind = new["machine"]["kind"]
     explored, takes_start = explored_of(kind), "start" in knobs.observer_fields(kind)
     observers = dict(new["observers"])

@@ -41,7 +41,7 @@ class Continuous:
         self.plan, self.steps, self.every, self.threads = plan, steps, every, threads
         self.sample, self.tree = jax.tree.flatten(like)
         made: Any = eqx.filter_eval_shape(plan.make, like)
-        self.max_steps = made.max_steps
+        self.max_steps, self.pair = made.max_steps, pair_for(made.rtol)
 
     def __getstate__(self) -> dict[str, Any]:
         """What runs."""
@@ -92,17 +92,16 @@ class Continuous:
             loop, _ = made.begun(steps)
             alike = states(inputs)
             x, tree = alike.start(inputs), alike.tree
-            pair = pair_for(made.rtol)
 
             def rate(t, x):
                 return alike.rate(inputs, t, x)
 
-            rate.__name__ = name_of(pair.main if step else ALWAYS)
+            rate.__name__ = name_of(self.pair.main if step else ALWAYS)
             jumps = np.empty(0) if loop.span is None else loop.span.jumps
-            stepper = Stepper(pair, made.rtol, made.atol, jumps.size > 0)
+            stepper = Stepper(self.pair, made.rtol, made.atol, jumps.size > 0)
             ends = (np.asarray(t, x.dtype) for t in (0.0, steps * made.interval))
             march = March(stepper, jumps, *ends)
-            return made, loop, x, tree, jax.jit(rate), stepper, march
+            return made, loop, x, tree, rate, stepper, march
 
         def begin(inputs):
             _, loop, x, tree, rate, _, march = of(inputs)
