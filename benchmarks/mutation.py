@@ -46,7 +46,7 @@ TESTS = {
     "_swapped": "swapped oracle relations sampled rows limits paced_rates",
     "_completions": "oracle certificate rows guard sampled two_rates refused_values errors"
     " missing",
-    "_guard": "oracle guard refused_values sampled missing",
+    "_guard": "guard oracle refused_values sampled missing",
     "_replay": "oracle once sampled step errors refusals hidden_errors missing",
 }
 # Not in the sample, since anything kills them: bitwise operators, which floating-point

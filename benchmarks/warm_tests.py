@@ -14,6 +14,9 @@ from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import coverage
+import pytest
+
 # Nothing of this asks JAX for a device: its threads would not survive a fork.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 for _name in (
@@ -33,9 +36,6 @@ for _name in (
     "tomlkit",
 ):
     importlib.import_module(_name)
-
-import coverage
-import pytest
 
 NONE_COLLECTED = pytest.ExitCode.NO_TESTS_COLLECTED
 
@@ -74,31 +74,38 @@ class Recorder:
     def __init__(self, path: Path, modules: list[Path]) -> None:
         self.path, self.modules = path, modules
         self.times: dict[str, float] = {}
-        self.shared: dict[tuple[str, object], float] = {}
+        self.current = ""
+        # Of fixtures that tests share, with what they take (s) and the tests that ask for
+        # them: each of these runs what such a one runs, whoever is the first.
+        self.shared: dict[str, float] = {}
+        self.users: dict[str, list[str]] = defaultdict(list)
         include = [str(module) for module in modules]
         self.coverage = coverage.Coverage(None, include=include, config_file=False)
         self.coverage.start()
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> Generator[None]:
-        """One that tests share counts for each, as if it ran alone."""
+        if fixturedef.scope == "function":
+            return (yield)
+        key = f"{fixturedef.argname} {getattr(request, 'param_index', 0)}"
         begun = time.process_time()
+        self.coverage.switch_context(key)
         result = yield
-        if fixturedef.scope != "function":
-            key = fixturedef.argname, getattr(request, "param_index", 0)
-            self.shared[key] = time.process_time() - begun
+        self.coverage.switch_context(self.current)
+        self.shared[key] = time.process_time() - begun
         return result
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: Any) -> Generator[None]:
-        self.coverage.switch_context(item.nodeid)
-        begun, before = time.process_time(), dict(self.shared)
-        result = yield
-        taken = time.process_time() - begun
+        self.current = item.nodeid
+        self.coverage.switch_context(self.current)
         indices = item.callspec.indices if hasattr(item, "callspec") else {}
-        keys = ((name, indices.get(name, 0)) for name in item.fixturenames)
-        taken += sum(before.get(key, 0.0) for key in keys)
-        self.times[item.nodeid] = taken
+        keys = [f"{name} {indices.get(name, 0)}" for name in item.fixturenames]
+        begun, known = time.process_time(), sum(self.shared.get(key, 0.0) for key in keys)
+        result = yield
+        self.times[item.nodeid] = known + time.process_time() - begun
+        for key in keys:
+            self.users[key].append(item.nodeid)
         self.coverage.switch_context("")
         return result
 
@@ -106,8 +113,11 @@ class Recorder:
         self.coverage.stop()
         data, lines = self.coverage.get_data(), defaultdict(dict)
         for module in self.modules:
-            for row, tests in data.contexts_by_lineno(str(module)).items():
-                lines[module.stem][row] = None if "" in tests else tests
+            for row, contexts in data.contexts_by_lineno(str(module)).items():
+                tests = (test for each in contexts for test in self.users.get(each, [each]))
+                lines[module.stem][row] = (
+                    None if "" in contexts else [*dict.fromkeys(tests)]
+                )
         found = {"times": self.times, "lines": lines}
         self.path.write_text(json.dumps(found))
 

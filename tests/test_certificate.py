@@ -236,3 +236,29 @@ def test_one_of_several_rows_is_a_row(start):
     settled = start == "paper"
     assert np.all(one.r[0] == one.r[-1]) == settled
     assert np.all(one.r[0] == 0.0) != settled
+
+
+class FromMeasurement(eqx.Module):
+    """A relation whose terms arrive as the measurement."""
+
+    def __call__(self, u, y):
+        del u
+        return y
+
+
+def test_with_the_papers_start_a_schedule_that_stays_is_a_number():
+    """Its constant rows are states, which stand where linear equations put them."""
+    terms = jax.jit(jax.vmap(observed))(TIMES)
+    found = [
+        aslo.replay(
+            aslo.AlgebraicObserver(
+                FromMeasurement(), aslo.LowPass(rate), aslo.Repeat(), None, start="paper"
+            ),
+            TIMES,
+            jnp.zeros(TIMES.size),
+            terms,
+        )
+        for rate in (RATE, lambda t, u, y: RATE)
+    ]
+    np.testing.assert_allclose(found[1].certificate, found[0].certificate, rtol=1e-9)
+    np.testing.assert_allclose(found[1].value[5:], found[0].value[5:], rtol=1e-7)

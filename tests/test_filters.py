@@ -176,3 +176,10 @@ def test_arguments_are_refused_with_the_remedy():
         aslo.LinearFilter([[-1.0, 0.0], [0.0, -2.0]], [1.0], [1.0, 1.0])
     with pytest.raises(ValueError, match="`frequency` must be positive"):
         sinusoid_rejecting(1.0, -1.0)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_filter_is_linear_in_its_signal(name):
+    filter, s = FILTERS[name], jnp.array([-2.5, 0.0, 0.7])
+    np.testing.assert_allclose(filter.feedthrough(s), s * filter.feedthrough(1.0))
+    np.testing.assert_allclose(filter.inject(s), jnp.multiply.outer(filter.inject(1.0), s))

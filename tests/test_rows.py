@@ -114,3 +114,26 @@ def test_too_few_filters_for_several_rows_are_refused():
     terms = TERMS[0](jnp.zeros(()))
     with pytest.raises(ValueError, match="at least n/2 - 1 = 1 filters for a state of 3"):
         observer.init(jnp.zeros(()), terms)
+
+
+class FromMeasurement(eqx.Module):
+    """A relation whose terms arrive as the measurement."""
+
+    def __call__(self, u, y):
+        del u
+        return y
+
+
+def test_as_many_rows_as_entries_need_no_filters():
+    C = jnp.array([[1.0, 0.4, -0.2], [0.3, -2.0, 0.5], [0.0, 0.7, 30.0]])
+
+    def terms(t):
+        return aslo.Rows(C, C @ x3(t), jnp.zeros(0), derivative(x3, t), constant=True)
+
+    times = 0.01 * jnp.arange(80)
+    bank = aslo.FilterBank([])
+    observer = aslo.AlgebraicObserver(FromMeasurement(), aslo.LowPass(4.0), bank, None)
+    terms = jax.jit(jax.vmap(terms))(times)
+    found = aslo.replay(observer, times, jnp.zeros(times.size), terms)
+    np.testing.assert_allclose(found.value[2:], jax.vmap(x3)(times)[2:], atol=1e-5)
+    assert found.certificate[-1] > 0.05
