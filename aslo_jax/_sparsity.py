@@ -16,6 +16,8 @@ from jaxtyping import Array
 
 from ._typing import PyTree
 
+# What a function raises whose Python looks at the values of its arrays.
+CONCRETE = (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError)
 Nested = Any  # an array of shape (), a number, or a list of these
 
 
@@ -27,11 +29,15 @@ def listed(function: Callable[..., PyTree], *args: PyTree) -> PyTree:
     arrays, rest = eqx.partition(args, eqx.is_array)
     shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), arrays)
     parts, structure = jax.tree.flatten((rest, shapes))
-    try:
-        known = _kept(function, tuple(parts), structure)
-    except TypeError:  # what cannot be hashed
-        known = _known(function, tuple(parts), structure)
     found, tree = jax.tree.flatten(function(*args))
+    try:
+        hash((*parts, structure))
+    except TypeError:
+        known = _known(function, tuple(parts), structure)
+    else:
+        known = _kept(function, tuple(parts), structure)
+    if known is None:
+        known = [np.full(x.shape, None, object).tolist() for x in found]
     lists = [_lists(x, k) for x, k in zip(found, known, strict=True)]
     return jax.tree.unflatten(tree, lists)
 
@@ -42,8 +48,9 @@ def _lists(x: Array, known: Nested) -> Nested:
     return x if known is None else known
 
 
-def _known(function: Any, parts: Sequence[Any], structure: Any) -> list[Nested]:
-    """For each array that the function returns, 0, 1 or `None` of each entry."""
+def _known(function: Any, parts: Sequence[Any], structure: Any) -> list[Nested] | None:
+    """For each array that the function returns, 0, 1 or `None` of each entry; `None` where
+    nothing is known of any."""
     from .engines._frontend.lower import NotFusible, flatten, unusual
     from .engines._ir.graph import Graph
 
@@ -52,11 +59,13 @@ def _known(function: Any, parts: Sequence[Any], structure: Any) -> list[Nested]:
     def of_arrays(arrays):
         return function(*eqx.combine(arrays, rest))
 
-    closed, out = jax.make_jaxpr(of_arrays, return_shape=True)(shapes)
+    try:
+        closed, out = jax.make_jaxpr(of_arrays, return_shape=True)(shapes)
+    except CONCRETE:
+        return None
     leaves, outs = jax.tree.leaves(shapes), jax.tree.leaves(out)
-    nothing = [np.full(x.shape, None, object) for x in outs]
     if unusual(*leaves, *outs) is not None:
-        return [x.tolist() for x in nothing]
+        return None
     graph, count = Graph(), 0
     inputs = []
     for leaf in leaves:
@@ -68,12 +77,10 @@ def _known(function: Any, parts: Sequence[Any], structure: Any) -> list[Nested]:
     try:
         made = flatten(graph, closed, inputs)
     except NotFusible:
-        return [x.tolist() for x in nothing]
-    values = _values(graph)
-    for found, numbers in zip(nothing, made, strict=True):
-        for place in np.ndindex(found.shape):
-            found[place] = values[int(np.asarray(numbers)[place])]
-    return [x.tolist() for x in nothing]
+        return None
+    values = np.array(_values(graph), object)
+    every = (values[np.asarray(numbers, int)] for numbers in made)
+    return [np.asarray(x, object).tolist() for x in every]
 
 
 _kept = functools.lru_cache(maxsize=256)(_known)

@@ -29,12 +29,14 @@ def test_what_does_not_depend_is_a_plain_zero():
 def test_ones_and_sums_with_zeros():
     def function(a, x):
         both = jnp.stack([0.0 * a + 1.0, (1.0 + 0.0 * x[0]) * a])
-        return {"both": both, "none": -(0.0 / a) * x, "x": x + 0.0 * a}
+        scalar = {"one": x[0] / x[0], "zero": 0.0 * a}
+        return {"both": both, "none": -(0.0 / a) * x, "x": x + 0.0 * a} | scalar
 
     x = jnp.asarray([2.0, 5.0, 9.0])
     found = listed(function, jnp.asarray(4.0), x)
     assert plain(found["both"]) == [1, None] and plain(found["none"]) == [0, 0, 0]
     assert plain(found["x"]) == [None] * 3
+    assert plain(found["one"]) is None and plain(found["zero"]) == 0
     np.testing.assert_array_equal(jnp.stack(found["x"]), x)
 
 
@@ -54,6 +56,15 @@ def test_what_is_zero_by_chance_is_none(function):
     found = listed(function, x)
     assert plain(found) == [None, None]
     np.testing.assert_array_equal(jnp.stack(found), function(x))
+
+
+def test_a_function_that_looks_at_its_values_is_taken_as_it_is():
+    def function(x):
+        return 0.0 * x if x[0] > 0.5 else x
+
+    found = listed(function, jnp.asarray([1.0, 2.0]))
+    assert plain(found) == [None, None]
+    np.testing.assert_array_equal(jnp.stack(found), [0.0, 0.0])
 
 
 def test_it_is_known_under_transformations():

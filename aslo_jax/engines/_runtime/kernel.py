@@ -65,7 +65,8 @@ def _address(column: np.ndarray) -> int:
     """That of its first entry, in a fifth of the time of `column.ctypes.data` where the
     column may be written to: there are thousands of them."""
     try:
-        return ctypes.addressof(ctypes.c_char.from_buffer(column))
+        held: Any = column
+        return ctypes.addressof(ctypes.c_char.from_buffer(held))
     except (TypeError, ValueError, BufferError):
         return column.ctypes.data
 
