@@ -214,9 +214,7 @@ def test_an_observer_of_samples_takes_those_of_the_interval():
 
 
 def test_it_is_not_explored():
-    with pytest.raises(
-        ConfigurationError, match=r"must be .sampled. to be explored"
-    ):
+    with pytest.raises(ConfigurationError, match=r"must be .sampled. to be explored"):
         scene_of(CONTENT)
 
 
