@@ -161,7 +161,11 @@ def test_the_paper_start_of_least_squares_with_a_state_matrix():
 
 @pytest.mark.parametrize(
     "completion",
-    [aslo.Repeat(), aslo.FilterBank([aslo.LowPass(4.0)]), aslo.LeastSquares()],
+    [
+        pytest.param(aslo.Repeat(), marks=pytest.mark.slow),
+        pytest.param(aslo.FilterBank([aslo.LowPass(4.0)]), marks=pytest.mark.slow),
+        aslo.LeastSquares(),
+    ],
     ids=["repeat", "bank", "least squares"],
 )
 def test_neither_estimate_nor_certificate_depends_on_units(completion):

@@ -142,6 +142,7 @@ kind = "rms"
 """
 
 
+@pytest.mark.slow
 def test_what_it_follows_is_tuned():
     content = tomllib.loads(STUDY)
     settings = dict(samples=4, iterations=2, engine="scan")

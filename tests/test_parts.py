@@ -63,7 +63,10 @@ def checked(instructions, counts, turn=36):
     return found
 
 
-@pytest.mark.parametrize("turn", [2, 5, 40])
+SLOW = [pytest.param(turn, marks=pytest.mark.slow) for turn in (2, 40)]
+
+
+@pytest.mark.parametrize("turn", [5, *SLOW])
 def test_every_part_is_made_once_after_its_arguments(turn):
     @settings(max_examples=150)
     @given(programs())

@@ -46,6 +46,7 @@ def test_bound_is_that_of_a_regression(scale):
     np.testing.assert_allclose(found.variance[:, -1, 0], expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_bound_without_the_parameters_that_are_spread():
     """A motor that stands: its currents tell the resistance, and with it the flux."""
     motor = aslo.plants.PMSM(1.7, 9.3e-3, 0.11, 3, 2.3e-3)

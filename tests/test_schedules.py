@@ -205,6 +205,7 @@ def test_parameters_of_a_schedule_have_gradients_both_ways():
     assert (jnp.abs(forward) > 0).all()
 
 
+@pytest.mark.slow
 def test_other_machines_and_observers_take_schedules():
     """The bearing, and the magnet's flux without its size; FO1 approaches."""
     bearing = PrescribedBearing(aslo.plants.MagneticBearing.laboratory(), lambda t: t)

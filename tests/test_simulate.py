@@ -93,7 +93,7 @@ def noise(deviation=0.3, interval=0.05, stream=0):
     return SampledNoise(deviation, interval, aslo.random.key(4), stream)
 
 
-@pytest.mark.parametrize("t0", [0.0, 0.35])
+@pytest.mark.parametrize("t0", [pytest.param(0.0, marks=pytest.mark.slow), 0.35])
 def test_held_noise_is_held_to_the_bit_for_adaptive_and_fixed_steps(t0):
     """Against the exact recurrence: the noisy input is piecewise constant, so the filter
     advances exactly over each of its intervals."""
@@ -161,6 +161,7 @@ def test_held_index_at_the_edges(interval):
     np.testing.assert_array_equal(before, k - 1)
 
 
+@pytest.mark.slow
 def test_vmap_over_initial_states_and_parameters():
     def error(x0, rate, gain):
         observer = aslo.Asymptotic(printed(rate), gain, initial=jnp.zeros(1))
