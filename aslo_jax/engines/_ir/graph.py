@@ -58,10 +58,10 @@ class Goal(NamedTuple):
     """What a graph is made for.
 
     - `fuses`: whether a product and a sum that may be rounded once are one operation;
-    - `inverts`: whether what moves is multiplied by the inverse of what is fixed over time;
-    - `outlined`: of how many operations all evaluations of one that stays a function are;
-    - `large`: of how many multiply-adds a product of matrices, or operations a function of
-      an array, is one of loops; `many`: of how many entries such an array is, at least.
+      `inverts`: whether what moves is multiplied by the inverse of what is fixed over time;
+    - `outlined`: operations of all evaluations of a function from which on it stays one;
+      `large`: multiply-adds of a product of matrices, or operations of a function of an
+      array, of one that is done in loops; `many`: entries of such an array, at least.
     """
 
     fuses: bool = True
@@ -72,8 +72,7 @@ class Goal(NamedTuple):
 
 
 MACHINE_CODE = Goal()
-# Their results are booleans.
-COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")
+COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")  # their results are booleans
 COMMUTES = {"add", "mul", "and", "or", "xor", "eq", "ne"}
 
 
@@ -92,7 +91,7 @@ class Graph:
         self.sources: list[Any] = []
         self.branches: dict[int, None] = {}  # conditions that were branches in the source
         self._numbers: dict[Any, int] = {}
-        self._moves: list[bool] = []  # whether nodes change over time
+        self._moving: list[bool] = []  # whether nodes change over time
         self._functions: dict[Any, Function] = {}
         self._several: dict[Any, Several] = {}
         self._places: dict[int, tuple[Several, int, Several]] = {}
@@ -269,10 +268,8 @@ class Graph:
             return self.select(*args)
         if node.op in ("fma", "dot"):
             return getattr(self, node.op)(*args)
-        if node.op == "call":
-            return self.call(node.data, *args)
-        if node.op == "table":
-            return self.table(node.data, *args)
+        if node.op in ("call", "table"):
+            return getattr(self, node.op)(node.data, *args)
         if node.op == "part":
             function, k = node.data
             return self.part(function, k, args)
@@ -285,8 +282,6 @@ class Graph:
         if number is None:
             number = self._numbers[key] = len(self.nodes)
             self.nodes.append(node)
-            moves = [(self._moves[a], False) for a in node.args]
-            self._moves.append(node.varies(moves)[0])
         return number
 
     def _simplified(self, op: str, args: tuple[int, ...], values: list[Any]) -> int | None:
@@ -330,11 +325,10 @@ class Graph:
             if b is not None and a is None and b.dtype.kind == "f":
                 with np.errstate(all="ignore"):
                     inverse = b.dtype.type(1.0) / b
-                normal = np.finfo(b.dtype).tiny
-                if normal <= abs(inverse) < np.inf and abs(b) >= normal:
+                if min(abs(inverse), abs(b)) >= np.finfo(b.dtype).tiny:
                     return self.op("mul", x, self.const(inverse, b.dtype))
-            fixed = b is None and self._moves[x] and not self._moves[y]
-            if self.goal.inverts and fixed and not whole:
+            inverts = self.goal.inverts and b is None and not whole
+            if inverts and self._moves(x) and not self._moves(y):
                 return self.op("mul", x, self.op("div", self.const(1, self.dtype(y)), y))
         if op in ("and", "or") and x == y:
             return x
@@ -378,10 +372,15 @@ class Graph:
                     return self.op("mul", self.const(both, node.dtype), rest)
         return None
 
+    def _moves(self, number: int) -> bool:
+        known = self._moving
+        for node in self.nodes[len(known) :]:
+            known.append(node.varies([(known[a], False) for a in node.args])[0])
+        return self._moving[number]
+
     def size(self, root: int) -> int:
         """How many operations a node takes, those that it needs included."""
-        found = (self.nodes[n] for n in self.reachable([root]))
-        return sum(node.size for node in found)
+        return sum(self.nodes[n].size for n in self.reachable([root]))
 
     def followed(
         self, number: int, known: dict[int, Value], make: Callable[[int], Value]
