@@ -14,6 +14,7 @@ from aslo_jax.filters import (
     second_order,
     sinusoid_rejecting,
 )
+from aslo_jax.schedules import Schedule
 
 FILTERS = {
     "low pass": aslo.LowPass(3.0),
@@ -183,3 +184,9 @@ def test_a_filter_is_linear_in_its_signal(name):
     filter, s = FILTERS[name], jnp.array([-2.5, 0.0, 0.7])
     np.testing.assert_allclose(filter.feedthrough(s), s * filter.feedthrough(1.0))
     np.testing.assert_allclose(filter.inject(s), jnp.multiply.outer(filter.inject(1.0), s))
+
+
+def test_the_slowest_rate_of_a_filter_is_its_own_or_the_least_of_its_schedule():
+    schedule = Schedule(lambda t, u, y: 9.0 + t, low=6.5, high=40.0)
+    assert aslo.LowPass(17.0).slowest == 17.0
+    assert aslo.LowPass(schedule).slowest == 6.5
