@@ -158,10 +158,10 @@ def open_study(path: str | Path) -> "xarray.Dataset":
     refuse_damaged_files(Path(path), attributes)
     xarray = require("xarray", "study")
     found = xarray.open_zarr(str(path), consolidated=False, chunks=None)
-    # NumPy's new type of text has few operations yet.
+    # NumPy's new type of text, which older xarray calls objects, has few operations yet.
     coordinates = {
         name: (x.dims, np.array([str(each) for each in x.values]), x.attrs)
-        if x.dtype.kind == "T"
+        if x.dtype.kind in "TO"
         else x.variable
         for name, x in found.coords.items()
     }
