@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..engines._ir.folding import UFUNCS
-from ..engines._ir.graph import Node
+from ..engines._ir.node import Node
 
 NUMPY: dict[str, Callable[..., Any]] = {
     **UFUNCS,

@@ -12,7 +12,8 @@ import numpy as np
 from ..engines._frontend.elementwise import ELEMENTWISE
 from ..engines._frontend.lower import flatten
 from ..engines._frontend.origin import Origin, described, located, with_caller
-from ..engines._ir.graph import Function, Graph, Node
+from ..engines._ir.graph import Function, Graph
+from ..engines._ir.node import Node
 from .evaluation import NUMPY, bound
 
 # Elementwise primitives that are kept: functions with derivatives and addition theorems of

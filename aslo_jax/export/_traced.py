@@ -13,7 +13,7 @@ import numpy as np
 
 from .._typing import PyTree
 from ..engines._fused.program import Bodies, looped
-from ..engines._ir.graph import Goal
+from ..engines._ir.goal import Goal
 from ..engines._ir.loop import Loop
 from ..engines._ir.rewrite import alive, pruned
 from ..engines._passes import optimised

@@ -9,7 +9,7 @@ import numpy as np
 from ..._typing import PyTree
 from .._frontend.lower import check_numbers, flatten
 from .._fused.program import Inputs, Program, flat, numbered, uncollected
-from .._ir.graph import Goal
+from .._ir.goal import Goal
 from .._ir.loop import Adaptive, Loop
 from .._runtime.host import target as of_host
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._ir.graph import BOOL, LOOPED
 from .._ir.loop import Loop, varying
+from .._ir.node import BOOL, LOOPED
 from .._ir.selection import Instruction, selected
 from .._ir.specialisation import specialised
 from .cost import cycles

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .._backend.grouping import Group, phases
-from .._ir.graph import LOOPED, Function, Graph, Node
+from .._ir.graph import Function, Graph
+from .._ir.node import LOOPED, Node
 from .places import Place, Run, Value, filled, runs
 from .scalars import bare, expression
 from .types import c_type

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .._ir.graph import Function, Goal, Graph
+from .._ir.goal import Goal
+from .._ir.graph import Function, Graph
 
 SHORT = 4  # no sum of so few products takes a loop
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from ..._checks import is_concrete
 from ..._typing import PyTree
-from .._ir.graph import NUMBERS, Graph
+from .._ir.graph import Graph
+from .._ir.node import NUMBERS
 from .elementwise import ELEMENTWISE, Unsupported
 from .functions import FUNCTIONS, applies_function
 from .large import entrywise

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._ir.graph import BOOL, Graph
+from .._ir.graph import Graph
+from .._ir.node import BOOL
 from .._ir.several import Several
 
 NAME = "aslo_jax_outlined_"  # and a number, of a `jax.jit`

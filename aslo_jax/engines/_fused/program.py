@@ -15,7 +15,8 @@ from ..._typing import PyTree
 from .._backend.step import Body, Step, chosen
 from .._backend.target import Target
 from .._frontend.lower import NotFusible, check_numbers, flatten
-from .._ir.graph import MACHINE_CODE, Goal, Graph
+from .._ir.goal import MACHINE_CODE, Goal
+from .._ir.graph import Graph
 from .._ir.loop import Loop, varying
 from .._passes import optimised
 from .._runtime.columns import COLUMNS, blank, columns_of, gathered, stored

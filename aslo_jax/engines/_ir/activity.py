@@ -1,8 +1,8 @@
 """Which entries of the carry of a loop may depend on which of its inputs (activity
 analysis)."""
 
-from .graph import COMPARISONS
 from .loop import Loop
+from .node import COMPARISONS
 
 CUT = {*COMPARISONS, "table"}  # whose results have no derivative
 

@@ -7,14 +7,10 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from .folding import FOLD, converted, fused
+from .goal import MACHINE_CODE, Goal
+from .node import BOOL, COMMUTES, COMPARISONS, Node
 from .several import Several
 
-# The types of numbers that a graph may compute with, by name.
-NUMBERS = ("float64", "float32", "bool")
-NUMBERS += tuple(f"{kind}{8 * size}" for kind in ("int", "uint") for size in (1, 2, 4, 8))
-BOOL = np.dtype(bool)
-LANEWISE = ("lane", "lane log", "carry", "saving", "argument")  # inputs
-LOOPED = ("dot", "call", "part")  # done in functions, on arrays in memory
 Value = TypeVar("Value")
 
 
@@ -23,57 +19,6 @@ class Function(NamedTuple):
 
     graph: "Graph"
     result: int
-
-
-class Node(NamedTuple):
-    """One operation on scalars. `data`: the value of a `const`, the slot of an `input`, the
-    entries of a `table`, the function of a `call`; of a `part`, the function with several
-    results and which of these it is."""
-
-    op: str
-    dtype: np.dtype
-    args: tuple[int, ...] = ()
-    data: Any = None
-
-    @property
-    def size(self) -> int:
-        """How many operations it takes, a product with a sum counted as two."""
-        if self.op in ("const", "input"):
-            return 0
-        if self.op == "call":
-            return self.data.graph.size(self.data.result)
-        if self.op == "part":
-            return self.data[0].size  # each result has its share
-        return {"fma": 2, "dot": len(self.args) - 1}.get(self.op, 1)
-
-    def varies(self, args: list[tuple[bool, bool]]) -> tuple[bool, bool]:
-        """Whether it changes over time, and over lanes, as its arguments do."""
-        if self.op == "input":
-            kind = self.data[0]
-            return kind not in ("shared", "lane"), kind in LANEWISE
-        return any(time for time, _ in args), any(lane for _, lane in args)
-
-
-class Goal(NamedTuple):
-    """What a graph is made for.
-
-    - `fuses`: whether a product and a sum that may be rounded once are one operation;
-      `inverts`: whether what moves is multiplied by the inverse of what is fixed over time;
-    - `outlined`: operations of all evaluations of a function from which on it stays one;
-      `large`: multiply-adds of a product of matrices, or operations of a function of an
-      array, of one that is done in loops; `many`: entries of such an array, at least.
-    """
-
-    fuses: bool = True
-    inverts: bool = False
-    outlined: int = 2000
-    large: int = 1000
-    many: int = 32
-
-
-MACHINE_CODE = Goal()
-COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")  # their results are booleans
-COMMUTES = {"add", "mul", "and", "or", "xor", "eq", "ne"}
 
 
 class Graph:

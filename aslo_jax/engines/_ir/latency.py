@@ -1,6 +1,6 @@
 """How many cycles operations take until their result is there (latencies)."""
 
-from .graph import Node
+from .node import Node
 
 # Cycles until a result is there; one for all others.
 LATENCY = {

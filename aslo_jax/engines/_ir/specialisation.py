@@ -4,7 +4,8 @@
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
-from .graph import BOOL, Graph, Node
+from .graph import Graph
+from .node import BOOL, Node
 
 
 class Special(NamedTuple):

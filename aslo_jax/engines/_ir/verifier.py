@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from .graph import BOOL, COMMUTES, COMPARISONS, FOLD, Graph, Node
+from .graph import FOLD, Graph
 from .loop import Loop
+from .node import BOOL, COMMUTES, COMPARISONS, Node
 
 COUNTS = {"select": 3, "fma": 3, "convert": 1, "bitcast": 1, "table": 1}
 COUNTS |= dict.fromkeys(("neg", "abs", "sqrt", "floor", "ceil", "rint"), 1)

@@ -8,7 +8,7 @@ import numpy as np
 from .._backend.grouping import entries
 from .._backend.splitting import Part
 from .._backend.step import Step, Way
-from .._ir.graph import LOOPED, Node
+from .._ir.node import LOOPED, Node
 from .._ir.rewrite import carries
 from .._ir.selection import Instruction
 from .frame import Frame

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from .._backend.grouping import Group
 from .._backend.splitting import Part
 from .._backend.step import Way
-from .._ir.graph import LOOPED
+from .._ir.node import LOOPED
 from .._ir.selection import Instruction
 from .values import Values
 from .writer import PARTIAL

@@ -3,8 +3,9 @@ what only the latter needs takes no time in the former."""
 
 import dataclasses
 
-from .._ir.graph import LOOPED, Graph
+from .._ir.graph import Graph
 from .._ir.loop import Loop, Switch, varying
+from .._ir.node import LOOPED
 from .._ir.rewrite import moving_roots
 from .._ir.specialisation import specialised
 
