@@ -147,7 +147,7 @@ def run_log(
         engine = "scan"
     if engine == "scan":
         return _run(observer, log, common, substeps, state, coasts)
-    from .engines._frontend.lower import NotFusible
+    from ._frontend.lower import NotFusible
 
     try:
         return _run_fused(observer, log, common, substeps, state, coasts)
@@ -250,7 +250,7 @@ def _run_fused(
 def _begun_by_machine_code(*arguments):
     """What [`_begun`][] gives, without XLA if need not be: for a start it compiles longer
     than the engine for the whole log."""
-    from .engines._frontend.lower import NotFusible
+    from ._frontend.lower import NotFusible
     from .engines._fused.once import once
 
     try:

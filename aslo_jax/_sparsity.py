@@ -51,8 +51,8 @@ def _lists(x: Array, known: Nested) -> Nested:
 def _known(function: Any, parts: Sequence[Any], structure: Any) -> list[Nested] | None:
     """For each array that the function returns, 0, 1 or `None` of each entry; `None` where
     nothing is known of any."""
-    from .engines._frontend.lower import NotFusible, flatten, unusual
-    from .engines._ir.graph import Graph
+    from ._frontend.lower import NotFusible, flatten, unusual
+    from ._ir.graph import Graph
 
     rest, shapes = jax.tree.unflatten(structure, parts)
 

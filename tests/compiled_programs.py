@@ -10,12 +10,12 @@ from compiled_c import compiled as built
 from program_checks import ORACLE, Outcome, _compare, _noise, _runs
 from random_programs import Code, compiled, recorded, sampled, source
 
+from aslo_jax._ir.loop import Loop
 from aslo_jax.engines import NotFusible, Runner
 from aslo_jax.engines._c.body import Body, Target
 from aslo_jax.engines._c.types import c_type
 from aslo_jax.engines._c.unit import Unit
 from aslo_jax.engines._fused.program import Bodies, Traced, looped
-from aslo_jax.engines._ir.loop import Loop
 from aslo_jax.engines._passes import optimised
 from aslo_jax.export._traced import PORTABLE, UNFIT
 

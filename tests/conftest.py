@@ -118,8 +118,8 @@ def forget_compiled_code() -> Iterator[None]:
 @pytest.fixture(autouse=True, scope="session")
 def verified_loops() -> Iterator[None]:
     """Every loop that is optimised in this process is checked after each of its passes."""
+    from aslo_jax._ir.verifier import verify
     from aslo_jax.engines import _passes as passes
-    from aslo_jax.engines._ir.verifier import verify
 
     before, passes.CHECK = passes.CHECK, lambda name, loop: verify(loop)
     yield

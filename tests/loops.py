@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from aslo_jax._ir.loop import varying
+from aslo_jax._ir.selection import selected
+from aslo_jax._ir.specialisation import specialised
 from aslo_jax.engines._fused.program import Bodies, Program
-from aslo_jax.engines._ir.loop import varying
-from aslo_jax.engines._ir.selection import selected
-from aslo_jax.engines._ir.specialisation import specialised
 
 X = np.array([0.3, -1.2, 0.9])
 REAL = jax.ShapeDtypeStruct((), np.float64)

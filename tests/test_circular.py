@@ -8,7 +8,7 @@ import pytest
 from loops import check, operations
 from test_elementary import evaluate
 
-from aslo_jax.engines._frontend.libm.exponential import ULP
+from aslo_jax._frontend.libm.exponential import ULP
 
 pytest.importorskip("llvmlite")
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import aslo_jax as aslo
+from aslo_jax._frontend.lower import flatten
+from aslo_jax._frontend.outlining import name_of
+from aslo_jax._ir.goal import Goal
+from aslo_jax._ir.graph import Graph
 from aslo_jax.engines._adaptive.alike import traced
 from aslo_jax.engines._adaptive.stepper import _exp2, _largest, _log2
-from aslo_jax.engines._frontend.lower import flatten
-from aslo_jax.engines._frontend.outlining import name_of
-from aslo_jax.engines._ir.goal import Goal
-from aslo_jax.engines._ir.graph import Graph
 
 pytest.importorskip("llvmlite")
 

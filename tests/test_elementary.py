@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.special
 
-from aslo_jax.engines._frontend.libm.exponential import ULP
+from aslo_jax._frontend.libm.exponential import ULP
 from aslo_jax.engines._fused.program import Bodies, Program
 
 pytest.importorskip("llvmlite")

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import aslo_jax as aslo
+from aslo_jax._frontend.elementwise import ELEMENTWISE
+from aslo_jax._frontend.lower import flatten
+from aslo_jax._frontend.origin import origin
+from aslo_jax._ir.graph import Graph
 from aslo_jax.engines import NotFusible
-from aslo_jax.engines._frontend.elementwise import ELEMENTWISE
-from aslo_jax.engines._frontend.lower import flatten
-from aslo_jax.engines._frontend.origin import origin
 from aslo_jax.engines._fused.program import Bodies, Program
-from aslo_jax.engines._ir.graph import Graph
 
 pytest.importorskip("llvmlite")
 A = jnp.arange(12.0).reshape(3, 4) / 7 - 0.6

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import aslo_jax as aslo
+from aslo_jax._frontend.large import is_large
+from aslo_jax._ir.goal import Goal
+from aslo_jax._ir.graph import Graph
 from aslo_jax.engines import run_batch
-from aslo_jax.engines._frontend.large import is_large
 from aslo_jax.engines._fused.program import Bodies, Program
-from aslo_jax.engines._ir.goal import Goal
-from aslo_jax.engines._ir.graph import Graph
 
 pytest.importorskip("llvmlite")
 RNG = np.random.default_rng(3)

@@ -22,8 +22,7 @@ LAYERS = (
 )
 # Of the phases of `aslo_jax.engines`.
 PHASES = (
-    {"_ir"},
-    {"_frontend", "_passes", "_backend"},
+    {"_passes", "_backend"},
     {"_llvm", "_c"},
     {"_runtime"},
     {"_fused"},
@@ -142,6 +141,16 @@ def test_nothing_is_imported_from_a_higher_layer(arrows):
     named = set(itertools.chain(*LAYERS))
     assert named <= {p.stem for p in (ROOT / "aslo_jax").iterdir()}
     assert upward(parts | {"__main__": set()}, LAYERS) == []
+
+
+def test_graphs_of_scalars_need_nothing_of_what_is_made_of_them(arrows):
+    """Engines, derivations and filters use these two."""
+    allowed = {"_ir": {"_ir"}, "_frontend": {"_ir", "_frontend", "_checks", "_typing"}}
+    parts = between(arrows, 1)
+    assert "_frontend" in parts
+    for name, below in allowed.items():
+        assert (ROOT / "aslo_jax" / name).is_dir()
+        assert parts.get(name, set()) <= below
 
 
 def test_the_phases_of_the_engine_follow_each_other(arrows):

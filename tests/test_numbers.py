@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from aslo_jax.engines._frontend.lower import NotFusible, flatten
-from aslo_jax.engines._frontend.structural import known
+from aslo_jax._frontend.lower import NotFusible, flatten
+from aslo_jax._frontend.structural import known
+from aslo_jax._ir.graph import Graph
 from aslo_jax.engines._fused.program import Bodies, Program
-from aslo_jax.engines._ir.graph import Graph
 
 pytest.importorskip("llvmlite")
 SIGNED = ["int8", "int16", "int32", "int64"]

@@ -6,8 +6,8 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given, settings
 
+from aslo_jax._ir.selection import Instruction
 from aslo_jax.engines._backend.splitting import Part, in_parts, parts_of
-from aslo_jax.engines._ir.selection import Instruction
 
 
 @st.composite

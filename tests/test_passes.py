@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from loops import PAIRS
 
+from aslo_jax._ir.graph import Function, Graph
+from aslo_jax._ir.loop import Loop, Switch, Tables
+from aslo_jax._ir.node import Node
+from aslo_jax._ir.verifier import MalformedError, verify
 from aslo_jax.engines._fused.program import Bodies, Program
-from aslo_jax.engines._ir.graph import Function, Graph
-from aslo_jax.engines._ir.loop import Loop, Switch, Tables
-from aslo_jax.engines._ir.node import Node
-from aslo_jax.engines._ir.verifier import MalformedError, verify
 from aslo_jax.engines._passes import PASSES, optimised
 
 pytest.importorskip("llvmlite")

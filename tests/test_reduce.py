@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from loops import X, by_hand, check, program
 
+from aslo_jax._ir.graph import Graph
 from aslo_jax.engines._backend.scheduling import depth_first, ordered
-from aslo_jax.engines._ir.graph import Graph
 
 pytest.importorskip("llvmlite")
 

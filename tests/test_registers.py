@@ -6,9 +6,9 @@ import hypothesis.strategies as st
 import numpy as np
 from hypothesis import given, settings
 
+from aslo_jax._ir.graph import Graph
+from aslo_jax._ir.selection import Instruction, selected
 from aslo_jax.engines._backend.spilling import planned
-from aslo_jax.engines._ir.graph import Graph
-from aslo_jax.engines._ir.selection import Instruction, selected
 
 
 @st.composite

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from loops import PAIRS, by_hand, ends, program, series
 
+from aslo_jax._ir.loop import varying
+from aslo_jax._ir.rewrite import moving_roots
+from aslo_jax._ir.specialisation import specialised
 from aslo_jax.engines._fused.program import Bodies, Program
-from aslo_jax.engines._ir.loop import varying
-from aslo_jax.engines._ir.rewrite import moving_roots
-from aslo_jax.engines._ir.specialisation import specialised
 
 pytest.importorskip("llvmlite")
 STEPS, LANES, TERMS = 40, 1025, 20

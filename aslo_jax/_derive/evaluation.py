@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..engines._ir.folding import UFUNCS
-from ..engines._ir.node import Node
+from .._ir.folding import UFUNCS
+from .._ir.node import Node
 
 NUMPY: dict[str, Callable[..., Any]] = {
     **UFUNCS,

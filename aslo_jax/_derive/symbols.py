@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..engines._frontend.elementwise import ELEMENTWISE
-from ..engines._frontend.lower import flatten
-from ..engines._frontend.origin import Origin, described, located, with_caller
-from ..engines._ir.graph import Function, Graph
-from ..engines._ir.node import Node
+from .._frontend.elementwise import ELEMENTWISE
+from .._frontend.lower import flatten
+from .._frontend.origin import Origin, described, located, with_caller
+from .._ir.graph import Function, Graph
+from .._ir.node import Node
 from .evaluation import NUMPY, bound
 
 # Elementwise primitives that are kept: functions with derivatives and addition theorems of

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from .._lazy import lazily as _lazily
 
 if TYPE_CHECKING:
+    from .._frontend.lower import NotFusible as NotFusible
     from ._batch import Batch as Batch, Runner as Runner, run_batch as run_batch
-    from ._frontend.lower import NotFusible as NotFusible
 
 __all__ = ["Batch", "NotFusible", "Runner", "run_batch"]
 

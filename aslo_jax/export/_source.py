@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from .._ir.graph import Graph
+from .._ir.loop import varying
 from ..engines._c.body import Body, Target
 from ..engines._c.places import Place, Value
 from ..engines._c.unit import Unit
-from ..engines._ir.graph import Graph
-from ..engines._ir.loop import varying
 from ._fields import Field
 from ._functions import functions
 from ._traced import Traced

@@ -11,11 +11,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._ir.goal import Goal
+from .._ir.loop import Loop
+from .._ir.rewrite import alive, pruned
 from .._typing import PyTree
 from ..engines._fused.program import Bodies, looped
-from ..engines._ir.goal import Goal
-from ..engines._ir.loop import Loop
-from ..engines._ir.rewrite import alive, pruned
 from ..engines._passes import optimised
 from ._blocks import Block
 from ._fields import Field, fields_of

@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..._frontend.lower import flatten
+from ..._ir.graph import Graph
+from ..._ir.rewrite import rebuilt
 from ..._typing import PyTree
-from .._frontend.lower import flatten
 from .._fused.program import flat, numbered
-from .._ir.graph import Graph
-from .._ir.rewrite import rebuilt
 
 
 class States(NamedTuple):

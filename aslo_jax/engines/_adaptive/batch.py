@@ -11,8 +11,8 @@ import numpy as np
 
 from ..._checks import is_concrete
 from ..._continuous import recorded
+from ..._frontend.outlining import ALWAYS, name_of
 from ..._typing import PyTree
-from .._frontend.outlining import ALWAYS, name_of
 from .._fused.plan import Batch, Plan
 from .._fused.program import Program
 from .._runtime.host import widths

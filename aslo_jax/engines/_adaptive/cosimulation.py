@@ -7,12 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..._frontend.lower import NotFusible
 from ..._interconnection import Interconnection, Simulation
 from ..._typing import PyTree
-from .._frontend.lower import NotFusible
 from .._fused.refusal import notice, refusal
-from .simulation import Plan, System, simulated
+from .simulation import Plan, simulated
 from .stepper import DIVERGED, ENDED
+from .system import System
 
 
 def cosimulated(

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..._typing import PyTree
-from .simulation import Outcome, System
+from .system import System
 
 
 def beside_tangents(system: System) -> System:
@@ -50,7 +50,7 @@ def rates_of(leaves: list[Any], rates: list[Any]) -> list[Any]:
     return [r if _is_real(x) else None for x, r in zip(leaves, rates, strict=True)]
 
 
-def tangents_of(row: PyTree, outcome: Outcome, rate: PyTree) -> Any:
+def tangents_of(row: PyTree, outcome: PyTree, rate: PyTree) -> Any:
     """Those of rows and outcome, whose other leaves have none."""
     real = iter(jax.tree.leaves(rate))
     of = lambda x: next(real) if _is_real(x) else _nothing(x)

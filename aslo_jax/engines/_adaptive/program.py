@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from ..._frontend.lower import check_numbers, flatten
+from ..._ir.goal import Goal
+from ..._ir.loop import Adaptive, Loop
 from ..._typing import PyTree
-from .._frontend.lower import check_numbers, flatten
 from .._fused.program import Inputs, Program, flat, numbered, uncollected
-from .._ir.goal import Goal
-from .._ir.loop import Adaptive, Loop
 from .._runtime.host import target as of_host
 
 # Passes for what a step has in common with the next one, with all lanes, or with what is

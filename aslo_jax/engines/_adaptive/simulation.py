@@ -8,30 +8,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..._checks import is_concrete
+from ..._frontend.outlining import ALWAYS, name_of
 from ..._typing import PyTree
-from .._frontend.outlining import ALWAYS, name_of
 from .._fused.forward_only import forward_only, second
 from .._fused.kept import kept, key_of, shape_of
 from .._fused.program import Program
 from .._fused.refusal import notice
 from .._runtime.host import widths
 from .alike import States, traced
+from .derivatives import beside_tangents, rates_of, tangents_of
 from .marching import March
 from .pairs import pair_for
 from .program import Bodies, adaptive
 from .stepper import DIVERGED, ENDED, RUNNING, Dense, Stepper
-
-
-class System(NamedTuple):
-    """What is integrated, as functions of the arrays of one lane.
-
-    - `init(arrays) -> state`, a tree; `rate(arrays, t, state)`, its derivative;
-    - `record(arrays, t, state)`: a row.
-    """
-
-    init: Callable[[PyTree], PyTree]
-    rate: Callable[[PyTree, Any, PyTree], PyTree]
-    record: Callable[[PyTree, Any, PyTree], PyTree]
+from .system import System
 
 
 class Plan(NamedTuple):
@@ -250,8 +240,6 @@ def simulated(
 
     @called.defjvp
     def pushed(primals, tangents):
-        from .derivatives import beside_tangents, rates_of, tangents_of
-
         if order:
             second(primals, tangents)
         (leaves,), (rates,) = primals, tangents

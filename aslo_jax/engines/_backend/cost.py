@@ -5,9 +5,9 @@ import collections
 import math
 from collections.abc import Sequence
 
-from .._ir.latency import LATENCY
-from .._ir.loop import Loop
-from .._ir.rewrite import carries
+from ..._ir.latency import LATENCY
+from ..._ir.loop import Loop
+from ..._ir.rewrite import carries
 from .spilling import Event
 from .splitting import Part
 from .target import Target

@@ -4,8 +4,8 @@ one vector, and calls of one function."""
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from .._ir.graph import Graph
-from .._ir.node import LOOPED, Node
+from ..._ir.graph import Graph
+from ..._ir.node import LOOPED, Node
 
 
 class Group(NamedTuple):

@@ -5,9 +5,9 @@ by register pressure)."""
 import heapq
 from collections.abc import Collection, Iterable
 
-from .._ir.graph import Graph
-from .._ir.latency import latency
-from .._ir.specialisation import Special
+from ..._ir.graph import Graph
+from ..._ir.latency import latency
+from ..._ir.specialisation import Special
 
 # Values that wait in registers, at most; from 4 to 12 it is the same.
 WAITING = 6

@@ -8,7 +8,7 @@ twice as many values as it must.
 from collections.abc import Collection, Iterator, Sequence
 from typing import Generic, NamedTuple, TypeVar
 
-from .._ir.selection import Instruction
+from ..._ir.selection import Instruction
 
 Value = TypeVar("Value")  # a node of a graph, or a part of it
 

@@ -9,7 +9,7 @@ operations of several to do at a time: it looks further ahead than a turn is lon
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from .._ir.selection import Instruction
+from ..._ir.selection import Instruction
 
 
 class Part(NamedTuple):

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._ir.loop import Loop, varying
-from .._ir.node import BOOL, LOOPED
-from .._ir.selection import Instruction, selected
-from .._ir.specialisation import specialised
+from ..._ir.loop import Loop, varying
+from ..._ir.node import BOOL, LOOPED
+from ..._ir.selection import Instruction, selected
+from ..._ir.specialisation import specialised
 from .cost import cycles
 from .grouping import entries, needed_later, phases
 from .scheduling import depth_first, ordered

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..._ir.graph import Function, Graph
+from ..._ir.node import LOOPED, Node
 from .._backend.grouping import Group, phases
-from .._ir.graph import Function, Graph
-from .._ir.node import LOOPED, Node
 from .places import Place, Run, Value, filled, runs
 from .scalars import bare, expression
 from .types import c_type

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .._ir.node import COMPARISONS, Node
+from ..._ir.node import COMPARISONS, Node
 from .types import c_type, short, unsigned
 from .unit import Unit
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .._ir.graph import Function
+from ..._ir.graph import Function
 from .helpers import helper
 from .types import c_type, literal, short
 

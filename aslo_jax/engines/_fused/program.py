@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from ..._frontend.lower import NotFusible, check_numbers, flatten
+from ..._ir.goal import MACHINE_CODE, Goal
+from ..._ir.graph import Graph
+from ..._ir.loop import Loop, varying
 from ..._typing import PyTree
 from .._backend.step import Body, Step, chosen
 from .._backend.target import Target
-from .._frontend.lower import NotFusible, check_numbers, flatten
-from .._ir.goal import MACHINE_CODE, Goal
-from .._ir.graph import Graph
-from .._ir.loop import Loop, varying
 from .._passes import optimised
 from .._runtime.columns import COLUMNS, blank, columns_of, gathered, stored
 from .._runtime.host import available_threads, target as of_host

@@ -4,7 +4,7 @@ import sys
 import warnings
 from typing import Any
 
-from .._frontend.lower import NotFusible
+from ..._frontend.lower import NotFusible
 
 # What may stand between a user's line and the one that warns.
 BETWEEN = (

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..._frontend.lower import flatten
+from ..._ir.activity import depends
+from ..._ir.loop import Loop
 from ..._typing import PyTree
-from .._frontend.lower import flatten
-from .._ir.activity import depends
-from .._ir.loop import Loop
 from .plan import Plan
 from .program import Bodies, Inputs, Program, flat, trace
 

@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from ..._ir.node import LOOPED
 from .._backend.grouping import Group, phases
-from .._ir.node import LOOPED
 from .functions import several
 from .layout import Layout
 from .loops import Array, copied, entrywise, rows

@@ -10,8 +10,8 @@ LLVM does not know that they are the same.
 
 from typing import NamedTuple
 
+from ..._ir.loop import Slot
 from .._backend.step import Step
-from .._ir.loop import Slot
 from .layout import POINTERS, Layout
 from .saving import Saving
 from .switching import WAYS, Condition, branch

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..._ir.selection import selected
+from ..._ir.several import Several
 from .._backend.scheduling import depth_first
-from .._ir.selection import selected
-from .._ir.several import Several
 from .loops import Array, operation
 from .writer import Writer
 

@@ -5,12 +5,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ..._ir.node import LOOPED, Node
+from ..._ir.rewrite import carries
+from ..._ir.selection import Instruction
 from .._backend.grouping import entries
 from .._backend.splitting import Part
 from .._backend.step import Step, Way
-from .._ir.node import LOOPED, Node
-from .._ir.rewrite import carries
-from .._ir.selection import Instruction
 from .frame import Frame
 from .writer import Writer
 

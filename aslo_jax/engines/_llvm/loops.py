@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._ir.graph import Function, Graph
-from .._ir.selection import selected
+from ..._ir.graph import Function, Graph
+from ..._ir.selection import selected
 from .writer import PARTIAL, Writer
 
 ROWS = 4  # whose sums grow beside each other

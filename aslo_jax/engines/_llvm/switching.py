@@ -4,7 +4,7 @@ import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from .._ir.node import BOOL
+from ..._ir.node import BOOL
 from .writer import Writer
 
 # The blocks of the ways: all switches are as usual, none is, or some are.

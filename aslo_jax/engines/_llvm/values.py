@@ -5,9 +5,9 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from ..._ir.loop import Slot
+from ..._ir.node import Node
 from .._backend.grouping import phases
-from .._ir.loop import Slot
-from .._ir.node import Node
 from .arrays import Groups
 from .layout import Layout
 from .loops import operation

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
+from ..._ir.node import LOOPED
+from ..._ir.selection import Instruction
 from .._backend.grouping import Group
 from .._backend.splitting import Part
 from .._backend.step import Way
-from .._ir.node import LOOPED
-from .._ir.selection import Instruction
 from .values import Values
 from .writer import PARTIAL
 

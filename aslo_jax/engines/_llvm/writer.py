@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .._ir.node import COMPARISONS
+from ..._ir.node import COMPARISONS
 
 TYPES = {
     "float64": "double",

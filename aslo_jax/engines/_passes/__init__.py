@@ -7,8 +7,8 @@
 from collections.abc import Callable, Collection
 from typing import NamedTuple
 
-from .._ir.loop import Loop
-from .._ir.rewrite import pruned
+from ..._ir.loop import Loop
+from ..._ir.rewrite import pruned
 from .commoning import kept
 from .congruence import merged
 from .correlated import decided

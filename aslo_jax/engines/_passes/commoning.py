@@ -8,9 +8,9 @@ Worth 2 to 25 % on four plants (on the double integrator from -4 to 11 %), measu
 import dataclasses
 from collections.abc import Iterable
 
-from .._ir.graph import Graph
-from .._ir.loop import Loop
-from .._ir.rewrite import carries, rebuilt, replaced
+from ..._ir.graph import Graph
+from ..._ir.loop import Loop
+from ..._ir.rewrite import carries, rebuilt, replaced
 from .unswitching import always
 
 # Operations that a value must take to be worth a place in memory, and those of some.

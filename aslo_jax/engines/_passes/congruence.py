@@ -5,8 +5,8 @@ Worth 14 to 36 % on four plants, quiet and with noise, measured by `benchmarks a
 Zen 4, with registers of 64 bytes and of 32.
 """
 
-from .._ir.loop import Loop
-from .._ir.rewrite import carries, rebuilt, replaced
+from ..._ir.loop import Loop
+from ..._ir.rewrite import carries, rebuilt, replaced
 
 
 def merged(loop: Loop) -> Loop:

@@ -7,10 +7,10 @@ ablation` on Zen 4, with registers of 64 bytes and of 32.
 
 from collections.abc import Iterator
 
-from .._ir.graph import Graph
-from .._ir.loop import Loop
-from .._ir.node import BOOL, COMPARISONS
-from .._ir.rewrite import mapped, moving_roots, rebuilt
+from ..._ir.graph import Graph
+from ..._ir.loop import Loop
+from ..._ir.node import BOOL, COMPARISONS
+from ..._ir.rewrite import mapped, moving_roots, rebuilt
 
 Fact = tuple[int, bool]  # a condition, and whether it holds
 

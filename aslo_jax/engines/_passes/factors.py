@@ -13,10 +13,10 @@ import dataclasses
 import functools
 from collections.abc import Collection
 
-from .._ir.loop import Loop, varying
-from .._ir.node import COMPARISONS
-from .._ir.rewrite import mapped, moving_roots
-from .._ir.selection import selected
+from ..._ir.loop import Loop, varying
+from ..._ir.node import COMPARISONS
+from ..._ir.rewrite import mapped, moving_roots
+from ..._ir.selection import selected
 from .terms import Terms
 
 # Operations that take a factor of their arguments with them.

@@ -7,9 +7,9 @@ measured by `benchmarks ablation` on Zen 4, with registers of 64 bytes and of 32
 
 from collections.abc import Mapping
 
-from .._ir.graph import Graph
-from .._ir.loop import Loop
-from .._ir.rewrite import counted, mapped, moving_roots, rebuilt
+from ..._ir.graph import Graph
+from ..._ir.loop import Loop
+from ..._ir.rewrite import counted, mapped, moving_roots, rebuilt
 
 
 def undivided(loop: Loop) -> Loop:

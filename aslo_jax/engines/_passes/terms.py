@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._ir.latency import latency
-from .._ir.loop import Loop, uniform
-from .._ir.rewrite import carries, counted, moving_roots
+from ..._ir.latency import latency
+from ..._ir.loop import Loop, uniform
+from ..._ir.rewrite import carries, counted, moving_roots
 
 # Factors of other sizes stay where they are: a product of two might overflow.
 MODERATE = {np.dtype(np.float64): 1e60, np.dtype(np.float32): 1e12}

@@ -10,8 +10,8 @@ import dataclasses
 
 import numpy as np
 
-from .._ir.loop import Loop, Tables, uniform
-from .._ir.rewrite import pruned, rebuilt
+from ..._ir.loop import Loop, Tables, uniform
+from ..._ir.rewrite import pruned, rebuilt
 
 
 def timetabled(loop: Loop) -> Loop:

@@ -3,11 +3,11 @@ what only the latter needs takes no time in the former."""
 
 import dataclasses
 
-from .._ir.graph import Graph
-from .._ir.loop import Loop, Switch, varying
-from .._ir.node import LOOPED
-from .._ir.rewrite import moving_roots
-from .._ir.specialisation import specialised
+from ..._ir.graph import Graph
+from ..._ir.loop import Loop, Switch, varying
+from ..._ir.node import LOOPED
+from ..._ir.rewrite import moving_roots
+from ..._ir.specialisation import specialised
 
 # A body pays if it saves such a share of a step, and so many operations: two more bodies
 # are compiled, and every step finds out which one it takes. One more condition pays if it

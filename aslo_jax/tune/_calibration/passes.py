@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...engines._frontend.lower import NotFusible
+from ..._frontend.lower import NotFusible
 from .imperfections import Sight
 from .kept import run_kept
 from .problem import Problem, predicted

@@ -17,11 +17,11 @@ from jaxtyping import Array, Float
 from ..._checked_log import common_interval
 from ..._checks import real
 from ..._filters import LowPass
+from ..._frontend.lower import NotFusible
 from ..._guard import Guard
 from ..._module import Module
 from ..._relations import Quadratic, Rate
 from ..._replay import replay
-from ...engines._frontend.lower import NotFusible
 from ...observers import AlgebraicObserver, Estimate
 from .imperfections import Sight
 from .kept import run_kept

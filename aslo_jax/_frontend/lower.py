@@ -12,10 +12,10 @@ import jax.extend.core as jex
 import jax.numpy as jnp
 import numpy as np
 
-from ..._checks import is_concrete
-from ..._typing import PyTree
+from .._checks import is_concrete
 from .._ir.graph import Graph
 from .._ir.node import NUMBERS
+from .._typing import PyTree
 from .elementwise import ELEMENTWISE, Unsupported
 from .functions import FUNCTIONS, applies_function
 from .large import entrywise
