@@ -152,8 +152,8 @@ def _judged(
         off = off + np.where(finite, 4 * limits.eps * np.abs(expected), 0.0)
         if scale is not None:
             off += SHARE * limits.eps * scale.reshape(-1, *[1] * (a.ndim - 1))
-        # What is less than the least normal number may be nothing.
-        off = off + limits.tiny
+        # What is less than the least normal number may be nothing, and constants times it.
+        off = off + 16 * limits.tiny
         near = np.isfinite(a) & (np.abs(a - expected) <= off)
     own = np.where(np.isnan(a), 2.0, np.where(np.isinf(a), np.sign(a), 0.0))
     alike = (kinds == kinds[0]).all(0)
