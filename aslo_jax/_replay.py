@@ -16,7 +16,7 @@ from ._checks import is_concrete, kind, one_of
 from ._typing import Engine, Missing, PyTree
 from .observers import AbstractObserver, Estimate, ObserverState
 from .observers._base import Est, check_states
-from .observers._missing import either, finite, marked, zeros
+from .observers._missing import DOUBT, either, finite, marked, zeros
 
 
 @overload
@@ -272,10 +272,12 @@ _begun = eqx.filter_jit(_beginning)
 
 
 def _first(observer, t0, state, u, y, coasts):
-    """The estimate at the first row, which may be missing; of u it depends on nothing."""
+    """The estimate at the first row, which may be missing, or doubted as by
+    [`AbstractObserver.take`][] where the state was left so; of u it depends on nothing."""
     if not coasts:
         return observer.estimate(t0, state, u, y)
     there = finite(y)
     u = either(finite(u), u, zeros(u))
     y = either(there, observer.continued(state.y, y), state.y)
-    return marked(observer.estimate(t0, state, u, y), ~there, Estimate)
+    doubtful = ~there if state.gap is None else ~there | (state.gap.doubt > DOUBT)
+    return marked(observer.estimate(t0, state, u, y), doubtful, Estimate)

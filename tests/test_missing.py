@@ -337,3 +337,27 @@ def test_a_kalman_filter_takes_nothing_for_known_of_inputs_that_are_held(lost):
         if lost != "y" and rows == 120:
             assert coasting[hole.stop + 1]
     np.testing.assert_allclose(found.value[:1600], plain.value[:1600], rtol=1e-9)
+
+
+def test_a_log_goes_on_while_the_last_hole_is_still_doubted():
+    """Without a hole of its own, and without a word: flagged as in one piece."""
+    t = 1e-3 * np.arange(240)
+    y = np.stack([np.cos(9.0 * t), 1.7 * np.sin(9.0 * t)], axis=1)
+    u = 3.0 * y + np.array([0.2, -0.1])
+    y[20:90] = np.nan
+    relation = aslo.plants.FluxRelation(2.3, 0.08)
+    filter = aslo.filters.second_order(60.0)
+    forgetting = aslo.LeastSquares(aslo.LowPass(50.0))
+    observer = aslo.AlgebraicObserver(relation, filter, forgetting)
+    whole = aslo.replay(observer, t, u, y, missing="coast")
+    cut = 94
+    first = slice(cut + 1)
+    _, state = aslo.replay(
+        observer, t[first], u[first], y[first], missing="coast", return_state=True
+    )
+    assert np.all(np.asarray(state.gap.weight) == 1.0)
+    assert np.all(np.asarray(state.gap.doubt) > 0.0)
+    rest = aslo.replay(observer, t[cut:], u[cut:], y[cut:], state=state)
+    np.testing.assert_array_equal(rest.coasting, whole.coasting[cut:])
+    np.testing.assert_allclose(rest.value, whole.value[cut:], rtol=1e-12)
+    assert rest.coasting[1] and not rest.coasting[-1]
