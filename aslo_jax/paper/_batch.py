@@ -1,6 +1,7 @@
 """Adaptive solves that differ by a number."""
 
 import importlib.util
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._typing import PyTree
+
+# A batch is a callback of JAX, which waits on a thread of XLA's pool: several at a time may
+# occupy all of them, and wait for each other.
+_CALLBACKS = threading.Lock()
 
 
 def one_by_one(one: Callable[[PyTree], PyTree], over: PyTree) -> PyTree:
@@ -53,4 +58,5 @@ def batch(one: Callable[[PyTree], PyTree], over: PyTree) -> PyTree:
     `one` hands to `simulate` holds what it is given in modules, not in closures."""
     if not is_fused():
         return one_by_one(one, over)
-    return jax.tree.map(np.asarray, jax.vmap(one)(jax.tree.map(jnp.asarray, over)))
+    with _CALLBACKS:
+        return jax.tree.map(np.asarray, jax.vmap(one)(jax.tree.map(jnp.asarray, over)))

@@ -29,7 +29,6 @@ from ...observers import (
     VelocityObserver,
 )
 from ...plants import AbstractMechanicalSystem
-from .._batch import is_fused
 from . import settings as s
 from .records import (
     CASES,
@@ -150,11 +149,10 @@ def replayer(mechanism: s.Mechanism, contender: Contender) -> Replay:
     many records, to the errors, shape (lanes, N, n). Compiled once, since there are as many
     trials on the records of training as records of validation."""
     form, angles = structure_of(mechanism.system), mechanism.system.angles
-    engine = "fused" if is_fused() else "scan"
 
     def one(gains, system, u, y, velocity):
         observer = Unwrapped(contender.make(gains, system, form, y[0]), angles)
-        return replay(observer, INSTANTS, u, y, engine=engine).value - velocity
+        return replay(observer, INSTANTS, u, y, engine="scan").value - velocity
 
     return jax.jit(jax.vmap(one))
 
