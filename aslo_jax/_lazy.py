@@ -11,7 +11,7 @@ def lazily(
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """The `__getattr__` and the `__dir__` of a `package`.
 
-    - `names` that its modules define, by module;
+    - `names` that its modules define, by module; one of the package above begins with a dot;
     - `modules` that are names themselves.
 
     What was found is kept in the package, so that it is looked up once. Beside it the
@@ -21,7 +21,7 @@ def lazily(
 
     def find(name: str) -> Any:
         if name in homes:
-            home = importlib.import_module(f"{package}.{homes[name]}")
+            home = importlib.import_module(f".{homes[name]}", package)
             found = getattr(home, name)
         elif name in modules:
             found = importlib.import_module(f"{package}.{name}")

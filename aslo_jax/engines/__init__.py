@@ -13,5 +13,5 @@ __all__ = ["Batch", "NotFusible", "Runner", "run_batch"]
 # Lazily, for a replay needs the engine without experiments and what these import.
 __getattr__, __dir__ = _lazily(
     __name__,
-    {"_batch": ("Batch", "Runner", "run_batch"), "_frontend.lower": ("NotFusible",)},
+    {"_batch": ("Batch", "Runner", "run_batch"), "._frontend.lower": ("NotFusible",)},
 )
