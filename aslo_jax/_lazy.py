@@ -11,7 +11,7 @@ def lazily(
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """The `__getattr__` and the `__dir__` of a `package`.
 
-    - `names` that its modules define, by module; one of the package above begins with a dot;
+    - `names` that its modules define, by module, those of the package above after a dot;
     - `modules` that are names themselves.
 
     What was found is kept in the package, so that it is looked up once. Beside it the
