@@ -57,7 +57,7 @@ def _of(module: Any) -> str:
     return _folder(Path(module.__file__).parent)
 
 
-LIBRARY = _folder(Path(__file__).parents[2])
+LIBRARY = _folder(Path(__file__).parents[1])
 JAX = _of(jax)
 SITE = tuple(_folder(sysconfig.get_path(kind)) for kind in ("purelib", "platlib"))
 EQUINOX = _of(equinox)
