@@ -33,6 +33,7 @@ KINDS = {
     "two": TERMS[0],
     "two, affine": TERMS[1],
 }
+LIKE_OTHERS = ("linear, affine", "two")
 
 
 class Shown(AbstractObserver):
@@ -70,7 +71,10 @@ class Case(NamedTuple):
         return jax.tree.map(lambda leaf: leaf[k], self.terms)
 
 
-@pytest.fixture(scope="module", params=KINDS)
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(k, marks=[pytest.mark.slow] * (k in LIKE_OTHERS)) for k in KINDS],
+)
 def case(request):
     terms = jax.jit(jax.vmap(KINDS[request.param]))(TIMES)
     found = aslo.replay(Shown(), TIMES, jnp.zeros(TIMES.size), terms)

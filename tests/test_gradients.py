@@ -91,9 +91,8 @@ def closed_form(gains):
     return jnp.mean((-0.7 * jnp.exp(-gain * t) + amplitude * forced) ** 2)
 
 
-@pytest.mark.parametrize(
-    "fixed", [pytest.param(False, marks=pytest.mark.slow), True], ids=["adaptive", "fixed"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("fixed", [False, True], ids=["adaptive", "fixed"])
 def test_simulate(fixed):
     both = reverse(lambda g: simulate_loss(g, None, fixed))
     expected = central(both, GAINS)

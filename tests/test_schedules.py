@@ -179,6 +179,7 @@ def test_step_replay_and_the_fused_engine_agree(name):
     np.testing.assert_allclose(fused.value, found.value, rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_parameters_of_a_schedule_have_gradients_both_ways():
     t, u, y, flux = log(150, 0.5)
     y = y + 0.01 * np.random.default_rng(5).standard_normal(y.shape)

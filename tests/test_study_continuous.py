@@ -128,6 +128,7 @@ def test_chunks_and_threads_leave_the_bits(whole):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_a_cluster_leaves_the_bits(whole):
     with local_cluster(1) as client:
         found = ran(CONTENT, chunk=256, client=client, engine="fused")

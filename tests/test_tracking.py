@@ -51,7 +51,9 @@ def estimated(y, x, estimates):
     return MechanicalFeedback(y, estimates["ASLO"].value)
 
 
-@pytest.mark.parametrize("name", LOOPS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "leg")) for n in LOOPS]
+)
 def test_the_loop_follows_with_measured_and_with_estimated_velocity(name):
     found = {}
     for feedback in (measured, estimated):

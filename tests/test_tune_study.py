@@ -240,6 +240,7 @@ def test_a_file_is_moved_to_speed_and_load():
     assert new["machine"]["load"] == {"offset": pytest.approx(1.0)}
 
 
+@pytest.mark.slow
 def test_a_ready_made_study_is_printed_and_tuned_by_its_name(capsys, tmp_path):
     def run(*arguments):
         with pytest.raises(SystemExit) as left:
