@@ -54,6 +54,31 @@ class Spring(eqx.Module):
         return aslo.Rate(c=one[None], s=y, z=(u - 30.0 * y)[None])
 
 
+def constrained(rows, values, found):
+    """Numbers `g w + s`, each `(g, s)` one of `found`, and their variances, of independent
+    unit deviations w for which `rows w = values` exactly."""
+    A = np.array(rows)
+    K = A.T @ np.linalg.inv(A @ A.T)
+    best, S = K @ np.array(values), np.eye(A.shape[1]) - K @ A
+    return (
+        np.array([g @ best + s for g, s in found]),
+        np.array([g @ S @ g for g, _ in found]),
+    )
+
+
+def check_smoothing(relation, expected_of):
+    """Smoothing a log of noise gives what `expected_of` it gives."""
+    h, count, prior = 0.03, 50, 1.7
+    rng = np.random.default_rng(6)
+    u, y = rng.standard_normal(count), 0.1 * rng.standard_normal(count)
+    observer = aslo.Lifted(relation, SY, SU, prior=prior)
+    found = aslo.smooth(observer, h * np.arange(count), u, y)
+    expected, variance = expected_of(u, y, h, prior)
+    np.testing.assert_allclose(found.value[:, 0], expected, atol=1e-9)
+    # `1 - K A` cancels all but a thousandth of the prior's variance.
+    np.testing.assert_allclose(found.covariance[:, 0, 0], variance, rtol=1e-7)
+
+
 def spring_batch(u, y, h, prior):
     """As `batch` for the spring: sigma and x at the start, then for every sample the noise
     of u before it and that of y at it, which is in x, in sigma and in the value."""
@@ -72,25 +97,11 @@ def spring_batch(u, y, h, prior):
         # The value has no noise but n: an exact constraint.
         rows.append(sigma[0] + SY * n)
         values.append(y[k] - sigma[1])
-    A = np.array(rows)
-    K = A.T @ np.linalg.inv(A @ A.T)
-    best, S = K @ np.array(values), one - K @ A
-    return (
-        np.array([g @ best + s for g, s in found]),
-        np.array([g @ S @ g for g, _ in found]),
-    )
+    return constrained(rows, values, found)
 
 
 def test_smoothing_knows_that_the_noise_of_y_is_in_the_state():
-    h, count, prior = 0.03, 50, 1.7
-    rng = np.random.default_rng(6)
-    u, y = rng.standard_normal(count), 0.1 * rng.standard_normal(count)
-    observer = aslo.Lifted(Spring(), SY, SU, prior=prior)
-    found = aslo.smooth(observer, h * np.arange(count), u, y)
-    expected, variance = spring_batch(u, y, h, prior)
-    np.testing.assert_allclose(found.value[:, 0], expected, atol=1e-9)
-    # `1 - K A` cancels all but a thousandth of the prior's variance.
-    np.testing.assert_allclose(found.covariance[:, 0, 0], variance, rtol=1e-7)
+    check_smoothing(Spring(), spring_batch)
 
 
 class Fed(eqx.Module):
@@ -119,21 +130,8 @@ def fed_batch(u, y, h, prior):
         found.append(x)
         rows.append(sigma[0] + SY * n)
         values.append(y[k] - sigma[1])
-    A = np.array(rows)
-    K = A.T @ np.linalg.inv(A @ A.T)
-    best, S = K @ np.array(values), one - K @ A
-    return (
-        np.array([g @ best + s for g, s in found]),
-        np.array([g @ S @ g for g, _ in found]),
-    )
+    return constrained(rows, values, found)
 
 
 def test_the_noise_of_an_input_enters_a_rate():
-    h, count, prior = 0.03, 50, 1.7
-    rng = np.random.default_rng(6)
-    u, y = rng.standard_normal(count), 0.1 * rng.standard_normal(count)
-    observer = aslo.Lifted(Fed(), SY, SU, prior=prior)
-    found = aslo.smooth(observer, h * np.arange(count), u, y)
-    expected, variance = fed_batch(u, y, h, prior)
-    np.testing.assert_allclose(found.value[:, 0], expected, atol=1e-9)
-    np.testing.assert_allclose(found.covariance[:, 0, 0], variance, rtol=1e-7)
+    check_smoothing(Fed(), fed_batch)
