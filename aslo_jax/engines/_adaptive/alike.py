@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..._frontend.lower import flatten
+from ..._frontend.outlining import name_of
 from ..._ir.graph import Graph
 from ..._ir.rewrite import rebuilt
 from ..._typing import PyTree
@@ -33,6 +34,16 @@ class States(NamedTuple):
     def rate(self, given: PyTree, t: Any, x: Any) -> Any:
         """The derivative at a state, both of shape `(m,)`."""
         return self._packed(self.field(given, t, self.tree(x)))
+
+    def field_at(self, given: PyTree, times: int) -> Callable[[Any, Any], Any]:
+        """[`rate`][] as a function of t and x, a function in machine code too where it is
+        evaluated so many `times`."""
+
+        def rate(t, x):
+            return self.rate(given, t, x)
+
+        rate.__name__ = name_of(times)
+        return jax.jit(rate)
 
     def tree(self, x: Any) -> PyTree:
         """Of a vector of shape `(m,)`."""

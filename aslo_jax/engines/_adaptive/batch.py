@@ -11,7 +11,7 @@ import numpy as np
 
 from ..._checks import is_concrete
 from ..._continuous import recorded
-from ..._frontend.outlining import ALWAYS, name_of
+from ..._frontend.outlining import ALWAYS
 from ..._typing import PyTree
 from .._fused.plan import Batch, Plan
 from .._fused.program import Program
@@ -92,11 +92,7 @@ class Continuous:
             loop, _ = made.begun(steps)
             alike = states(inputs)
             x, tree = alike.start(inputs), alike.tree
-
-            def rate(t, x):
-                return alike.rate(inputs, t, x)
-
-            rate.__name__ = name_of(self.pair.main if step else ALWAYS)
+            rate = alike.field_at(inputs, self.pair.main if step else ALWAYS)
             jumps = np.empty(0) if loop.span is None else loop.span.jumps
             stepper = Stepper(self.pair, made.rtol, made.atol, jumps.size > 0)
             ends = (np.asarray(t, x.dtype) for t in (0.0, steps * made.interval))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..._checks import is_concrete
-from ..._frontend.outlining import ALWAYS, name_of
+from ..._frontend.outlining import ALWAYS
 from ..._typing import PyTree
 from .._fused.forward_only import forward_only, second
 from .._fused.kept import kept, key_of, shape_of
@@ -70,12 +70,7 @@ def bodies(system: System, plan: Plan) -> Bodies:
 
     def of(arrays: PyTree, times: int = ALWAYS) -> tuple[States, Callable]:
         alike = states(arrays)
-
-        def rate(t, x):
-            return alike.rate(arrays, t, x)
-
-        rate.__name__ = name_of(times)
-        return alike, jax.jit(rate)
+        return alike, alike.field_at(arrays, times)
 
     def begin(inputs):
         alike, rate = of(inputs["lane"])
