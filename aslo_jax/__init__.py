@@ -41,6 +41,7 @@ if TYPE_CHECKING:
         tune as tune,
     )
     from ._citation import Citation as Citation, citation as citation
+    from ._kinks import kinked as kinked
     from ._replay import replay as replay
     from ._simulate import Simulation as Simulation, simulate as simulate
     from ._smooth import smooth as smooth
@@ -202,6 +203,7 @@ __all__ = [
     "filters",
     "frames",
     "interop",
+    "kinked",
     "logs",
     "metrics",
     "observers",
@@ -226,6 +228,7 @@ __getattr__, __dir__ = _lazily(
     __name__,
     {
         "_citation": ("Citation", "citation"),
+        "_kinks": ("kinked",),
         "_replay": ("replay",),
         "_simulate": ("Simulation", "simulate"),
         "_smooth": ("smooth",),

@@ -6,6 +6,7 @@ from jaxtyping import Array, Bool, Float
 
 from ._checks import optional_real, positive, real
 from ._filters import AbstractLaw
+from ._kinks import clip
 from ._module import Module
 from ._realise import Pass
 from ._relations import AbstractTerms
@@ -80,7 +81,7 @@ class Guard(Module):
         threshold = self._threshold(certificate)
         rounding = min(widening * float(jnp.finfo(certificate.dtype).eps) ** 0.75, 1e-2)
         width = jnp.maximum(threshold, rounding)
-        return jnp.clip((certificate - threshold) / width, 0.0, 1.0)
+        return clip((certificate - threshold) / width, 0.0, 1.0)
 
     def __call__(
         self,

@@ -37,7 +37,7 @@ def test_of_a_symmetric_matrix_half_is_integrated():
     x = np.arange(1.0, 10.0)
     tree = states.tree(x)
     np.testing.assert_array_equal(tree["M"], tree["M"].T)
-    rate = states.rate(RATES, 0.3, x)
+    rate = states.field_at(RATES, 1).at(0.3, x)
     expected = filtered(RATES, 0.3, tree)
     for ours, theirs in zip(
         *map(jax.tree.leaves, (states.tree(rate), expected)), strict=True

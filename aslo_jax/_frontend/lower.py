@@ -131,7 +131,7 @@ def _dtype(atom: Any) -> Any:
 
 def _apply(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
     name, params = equation.primitive.name, equation.params
-    inner = _inner(params)
+    inner = inner_of(params)
     kind = unusual(*(v.aval for v in (*equation.invars, *equation.outvars)))
     if kind is not None and inner is None:  # of a call, the one within is named
         return _constant(
@@ -187,7 +187,7 @@ def _constant(
 
 def _evaluated(equation: Any, values: list[Any]) -> list[np.ndarray]:
     """By JAX itself."""
-    inner = _inner(equation.params)
+    inner = inner_of(equation.params)
     with jax.ensure_compile_time_eval():
         values = [jnp.asarray(value) for value in values]
         if inner is not None:
@@ -201,7 +201,7 @@ def _evaluated(equation: Any, values: list[Any]) -> list[np.ndarray]:
 CALLS = ("jaxpr", "call_jaxpr", "fun_jaxpr")
 
 
-def _inner(params: dict[str, Any]) -> Any:
+def inner_of(params: dict[str, Any]) -> Any:
     """The closed jaxpr of a call: jit, custom derivatives, remat."""
     for key in CALLS:
         inner = params.get(key)

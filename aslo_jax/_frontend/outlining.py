@@ -12,6 +12,7 @@ from .._ir.several import Several
 
 NAME = "aslo_jax_outlined_"  # and a number, of a `jax.jit`
 ALWAYS = 1_000_000  # times: one that stays a function, short as it may be
+GATED = "gated_"  # between both
 MOVING = 2  # its last arguments, which change over time
 
 
@@ -25,9 +26,10 @@ class Outline(NamedTuple):
     fixed: list[int]
 
 
-def name_of(times: int) -> str:
-    """The name of a function that is evaluated so many times."""
-    return f"{NAME}{times}"
+def name_of(times: int, gated: bool = False) -> str:
+    """The name of a function that is evaluated so many times; of a `gated` one the results
+    are zero where the first entry of its last arguments is, see [`Several`][]."""
+    return f"{NAME}{GATED if gated else ''}{times}"
 
 
 def is_outlined(equation: Any) -> bool:
@@ -49,9 +51,10 @@ def outlined(
     dtypes = (graph.dtype(n) for n in numbers)
     key = id(jaxpr), *(array.tobytes() for array in still), *dtypes
     if key not in graph.outlined:
-        times = int(equation.params["name"].removeprefix(NAME))
+        name = equation.params["name"].removeprefix(NAME)
+        kind = int(name.removeprefix(GATED)), name.startswith(GATED)
         # With the jaxpr itself, so that nothing else comes to have its number.
-        graph.outlined[key] = jaxpr, _outline(graph, inline, moving, still, times)
+        graph.outlined[key] = jaxpr, _outline(graph, inline, moving, still, *kind)
     _, outline = graph.outlined[key]
     if outline is None:
         return inline(list(arguments))
@@ -71,6 +74,7 @@ def _outline(
     moving: Sequence[np.ndarray],
     still: Sequence[np.ndarray],
     times: int,
+    gated: bool,
 ) -> Outline | None:
     """Of a function that is evaluated so many times, if that is worth it."""
     numbers = [int(n) for array in moving for n in array.flat]
@@ -89,7 +93,8 @@ def _outline(
     if len(own) * times < graph.goal.outlined or not results:
         return None
     order = [n for n in needed if n in own]
-    return Outline(found, results, *_extracted(graph, order, inputs, results))
+    function, fixed = _extracted(graph, order, inputs, results)
+    return Outline(found, results, function._replace(gated=gated), fixed)
 
 
 def _extracted(

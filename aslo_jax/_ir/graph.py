@@ -181,7 +181,7 @@ class Graph:
         """One of the results of a function."""
         known = self._places.get(id(function))
         if known is None:  # equal functions are one
-            content: Any = *function.graph._numbers, function.results, function.moving
+            content: Any = *function.graph._numbers, *function[1:]
             one = self._several.setdefault(content, function)
             which = list(self._several).index(content)
             # With the function itself, so that nothing else comes to have its number.

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real
+from .._kinks import below, clip, larger, smaller
 from .._module import Module
 from .._typing import PyTree, RealArray
 from ..plants import PMSM
@@ -96,7 +97,7 @@ class FieldOriented(AbstractController):
         error = self.reference(t) - fed.speed
         wanted = state.torque + b * J * error
         limit = self.current_limit * self.torque_constant
-        torque = jnp.clip(wanted, -limit, limit)
+        torque = clip(wanted, -limit, limit)
         rate = b * b * J / 4.0 * error + b * (torque - wanted)
         return torque / self.torque_constant, rate
 
@@ -116,7 +117,7 @@ class FieldOriented(AbstractController):
         error = current - fed.current
         wanted = b * L * error + state.voltage + back_emf
         size = jnp.sqrt(jnp.sum(wanted**2) + jnp.finfo(wanted.dtype).tiny)
-        u = wanted * jnp.minimum(1.0, self.voltage_limit / size)
+        u = wanted * smaller(1.0, self.voltage_limit / size)
         turning = speed * jnp.stack([-state.voltage[1], state.voltage[0]])
         return u, b * R * error + turning + b * (u - wanted)
 
@@ -180,16 +181,16 @@ class ForcedStart(AbstractController):
     def forced(self, t: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """The forced electrical angle (rad) and speed (rad/s)."""
         n, ramp = self.controller.motor.pole_pairs, self.speed / self.acceleration
-        s = jnp.clip(t - self.align, 0.0, ramp)
-        cruise = jnp.maximum(t - self.align - ramp, 0.0)
+        s = clip(t - self.align, 0.0, ramp)
+        cruise = larger(t - self.align - ramp, 0.0)
         turned = self.acceleration * s**2 / 2.0 + self.speed * cruise
         return n * turned, n * self.acceleration * s
 
     def _law(self, t, state, fed):
         control, inner = self.controller, state.inner
-        closed = t >= self.handover
+        closed = ~below(t, self.handover)
         angle, speed = self.forced(t)
-        rise = jnp.minimum(2.0 * t / self.align, 1.0)
+        rise = smaller(2.0 * t / self.align, 1.0)
         current = rotate(angle, jnp.stack([self.current * rise, 0.0 * rise]))
         iq, torque_rate = control.torque_current(t, inner, fed)
         own = rotate(fed.angle, jnp.stack([state.flux_current, iq]))

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real
+from .._kinks import below, clip
 from .._module import Module
 from .._typing import PyTree, RealArray
 from ..plants import MagneticBearing
@@ -101,10 +102,10 @@ class MagneticLevitation(AbstractController):
         """The force (N) asked of the coils, and the derivative of the integral (N/s)."""
         b, m, damping = self.bandwidth, self.bearing.mass, self._damping(fed)
         wanted = state - damping
-        force = jnp.clip(wanted, -self.force_limit, self.force_limit)
+        force = clip(wanted, -self.force_limit, self.force_limit)
         error = self.reference(t) - fed.position
         rate = m * b**3 * error + b * (force - wanted)
-        resting = t < self.rest
+        resting = below(t, self.rest)
         return jnp.where(resting, 0.0, force), jnp.where(resting, -b * wanted, rate)
 
     def excitation(
@@ -124,4 +125,4 @@ class MagneticLevitation(AbstractController):
         flux = self.bias_flux * jnp.stack([1.0 + share, 1.0 - share]) + follow
         drop = self.bearing.resistance * fed.current
         u = drop + ripple + self.flux_bandwidth * (flux - fed.flux)
-        return jnp.clip(u, -self.voltage_limit, self.voltage_limit)
+        return clip(u, -self.voltage_limit, self.voltage_limit)

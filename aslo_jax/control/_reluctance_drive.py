@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real
+from .._kinks import clip, smaller
 from .._typing import PyTree, RealArray
 from ..plants import SynchronousReluctance
 from ._base import AbstractController
@@ -61,7 +62,7 @@ class ReluctanceDrive(AbstractController):
         error = self.reference(t) - fed.speed
         wanted = state + b * J * error
         limit = self.current_limit * self.torque_constant
-        torque = jnp.clip(wanted, -limit, limit)
+        torque = clip(wanted, -limit, limit)
         return torque, b * b * J / 4.0 * error + b * (torque - wanted)
 
     def vector_field(self, t: RealArray, state: PyTree, fed: PyTree) -> PyTree:
@@ -77,4 +78,4 @@ class ReluctanceDrive(AbstractController):
         turning = w * jnp.stack([-flux[1], flux[0]])
         u = motor.resistance * own + turning + self.flux_bandwidth * L * (wanted - own)
         size = jnp.sqrt(jnp.sum(u**2) + jnp.finfo(u.dtype).tiny)
-        return rotate(fed.angle, u * jnp.minimum(1.0, self.voltage_limit / size))
+        return rotate(fed.angle, u * smaller(1.0, self.voltage_limit / size))

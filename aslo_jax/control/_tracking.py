@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import positive, real
+from .._kinks import clip
 from .._module import Module
 from .._small import solve_rows
 from .._typing import PyTree, RealArray
@@ -125,6 +126,6 @@ class BallBeamTracking(AbstractController):
         target = acceleration + 2.0 * w * (speed - velocity[0]) + w * w * (wanted - q[0])
         sine = (q[0] * velocity[1] ** 2 - target) / self.system.gravity
         limit = jnp.sin(self.tilt)
-        angle = jnp.arcsin(jnp.clip(sine, -limit, limit))[None]
+        angle = jnp.arcsin(clip(sine, -limit, limit))[None]
         beam = Tracking(self.system, lambda t: angle, (1,), self.beam_bandwidth)
         return beam.force(fed, angle, jnp.zeros_like(angle), jnp.zeros_like(angle))

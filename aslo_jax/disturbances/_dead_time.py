@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import nonnegative, positive, real
+from .._kinks import clip
 from .._typing import PyTree, RealArray
 from ._base import AbstractMemoryless, DisturbanceState
 
@@ -64,7 +65,7 @@ class DeadTime(AbstractMemoryless):
         alpha, beta = self.current(output)
         across = 0.5 * SQRT3 * beta
         phases = jnp.stack([alpha, across - 0.5 * alpha, -across - 0.5 * alpha])
-        a, b, c = jnp.clip(phases / self.threshold, -1.0, 1.0)
+        a, b, c = clip(phases / self.threshold, -1.0, 1.0)
         # Clarke's transformation; what the three have in common drives no current.
         error = jnp.stack([(2.0 * a - b - c) / 3.0, (b - c) / SQRT3])
         return signal - self.voltage * error

@@ -1,11 +1,11 @@
 """Limits."""
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import is_concrete, real
+from .._kinks import clip
 from .._typing import PyTree, RealArray
 from ._base import AbstractMemoryless, DisturbanceState
 
@@ -40,4 +40,4 @@ class Saturation(AbstractMemoryless):
         output: PyTree = None,
     ) -> PyTree:
         del t, state, output
-        return jnp.clip(signal, self.lower, self.upper)
+        return clip(signal, self.lower, self.upper)

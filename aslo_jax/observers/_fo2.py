@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from .._checks import optional_real, positive, real
 from .._filters import AbstractLaw
+from .._kinks import larger
 from .._realise import Pass
 from .._small import safe_rsqrt
 from .._typing import PyTree, RealArray
@@ -40,7 +41,7 @@ class _Radial(AbstractLaw):
         x = X - v.centre
         excess = jnp.sum(x * x) - self.magnet_flux**2
         if self.one_sided:
-            excess = jnp.maximum(excess, 0.0)
+            excess = larger(excess, 0.0)
         return v.rate - self.gain * excess * x
 
     def discretise(self, h: RealArray | float) -> PyTree:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import optional_real, positive, real
+from .._kinks import kinked
 from .._module import Module
 from .._relations import Quadratic
 from .._small import safe_reciprocal
@@ -136,7 +137,7 @@ class MagneticBearing(AbstractPlant):
         side = jnp.sign(x.position)
         depth = jnp.abs(x.position) - self.touchdown
         push = self.touchdown_stiffness * depth + self.touchdown_damping * side * x.velocity
-        return jnp.where(depth > 0, -side * jnp.maximum(push, 0.0), 0.0)
+        return -side * _pushed(depth, push)
 
     def output(self, x: PyTree) -> PyTree:
         gaps = jnp.stack([self.gap - x.position, self.gap + x.position])
@@ -155,3 +156,8 @@ class MagneticBearing(AbstractPlant):
         return BearingFluxRelation(
             self.resistance, self.gap, self.force_constant, self.mass
         )
+
+
+@kinked
+def _pushed(depth, push):
+    return jnp.where(depth > 0, jnp.maximum(push, 0.0), 0.0)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.extend.core as jex
 import jax.numpy as jnp
 import numpy as np
 
@@ -14,36 +15,53 @@ from ..._ir.graph import Graph
 from ..._ir.rewrite import rebuilt
 from ..._typing import PyTree
 from .._fused.program import flat, numbered
+from .stepper import Field
+from .switches import switched, switches
 
 
 class States(NamedTuple):
     """`like`, the shapes of the tree of states; `first`, shape `(m,)`, where each of those
-    that differ is among all, and `of`, shape `(n,)`, which of these each state is; `init`
-    and `field`, the first state and its derivative, traced before."""
+    that differ is among all, and `of`, shape `(n,)`, which of these each state is; `init`,
+    the first state, and `field`, its derivative, traced before. Of the switching functions
+    that it declares, `switches`, shape `(k,)`, is which of those that differ each is."""
 
     like: PyTree
     first: np.ndarray
     of: np.ndarray
     init: Callable[[PyTree], PyTree]
-    field: Callable[[PyTree, Any, PyTree], PyTree]
+    field: Any
+    switches: np.ndarray
 
     def start(self, given: PyTree) -> Any:
         """The first state, shape `(m,)`."""
         return self._packed(self.init(given))
 
-    def rate(self, given: PyTree, t: Any, x: Any) -> Any:
-        """The derivative at a state, both of shape `(m,)`."""
-        return self._packed(self.field(given, t, self.tree(x)))
+    def field_at(self, given: PyTree, times: int) -> Field:
+        """The derivative at a state, both of shape `(m,)`, a function in machine code too
+        where it is evaluated so many `times`."""
+        leaves = jax.tree.leaves(given)
+        n, of = len(self.first), self.switches
+        different, first = np.unique(of, return_index=True)
+        m = len(different)
 
-    def field_at(self, given: PyTree, times: int) -> Callable[[Any, Any], Any]:
-        """[`rate`][] as a function of t and x, a function in machine code too where it is
-        evaluated so many `times`."""
-
-        def rate(t, x):
-            return self.rate(given, t, x)
+        def rate(t, z):
+            x, sides = z[:n], z[n:]
+            moving = [*leaves, t, *jax.tree.leaves(self.tree(x))]
+            if not m:
+                return self._packed(jex.jaxpr_as_fun(self.field)(*moving))
+            rates, values = switched(self.field, moving, sides[of])
+            return jnp.concatenate([self._packed(rates), values[first]])
 
         rate.__name__ = name_of(times)
-        return jax.jit(rate)
+        compiled = jax.jit(rate)
+
+        def field(t, x, sides):
+            if not m:
+                return compiled(t, x), None
+            found = compiled(t, jnp.concatenate([x, sides]))
+            return found[:n], found[n:]
+
+        return Field(field, m)
 
     def tree(self, x: Any) -> PyTree:
         """Of a vector of shape `(m,)`."""
@@ -83,7 +101,7 @@ def traced(
 def _found(init: Callable, rate: Callable, given: PyTree) -> States:
     """The coarsest partition whose parts begin alike and go on alike, as that of the carry
     of a loop (congruence of loop-carried values)."""
-    init, rate = jax.jit(init), jax.jit(rate)  # of which JAX keeps the traces
+    init = jax.jit(init)  # of which JAX keeps the trace
     given = jax.tree.map(lambda x: jax.ShapeDtypeStruct(jnp.shape(x), x.dtype), given)
     begin, start = jax.make_jaxpr(init, return_shape=True)(given)
     t = jax.ShapeDtypeStruct((), jnp.result_type(float))
@@ -93,7 +111,9 @@ def _found(init: Callable, rate: Callable, given: PyTree) -> States:
     now = np.asarray(graph.input(t.dtype, ("step", 0)))
     own = flat(x)
     begun = flat(flatten(graph, begin, fixed))
-    after = flat(flatten(graph, moving, [*fixed, now, *x]))
+    inputs = [*fixed, now, *x]
+    after = flat(flatten(graph, moving, inputs))
+    alike = _switches(graph, moving, inputs)
     group: list[Any] = [(graph.dtype(n), b) for n, b in zip(own, begun, strict=True)]
     while True:
         leader = {g: i for i, g in reversed(list(enumerate(group)))}
@@ -107,4 +127,15 @@ def _found(init: Callable, rate: Callable, given: PyTree) -> States:
     kept = sorted(set(first))
     place = {k: i for i, k in enumerate(kept)}
     of = np.array([place[k] for k in first], int)
-    return States(start, np.array(kept, int), of, init, rate)
+    return States(start, np.array(kept, int), of, init, moving, alike)
+
+
+def _switches(graph: Graph, moving: Any, inputs: list[Any]) -> np.ndarray:
+    """Of the switching functions of a vector field, which of those that differ each is."""
+    count = switches(moving)
+    if not count:
+        return np.empty(0, int)
+    shapes = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in moving.jaxpr.invars]
+    values = lambda *given: switched(moving, given, jnp.zeros(count))[1]
+    numbers = flat(flatten(graph, jax.make_jaxpr(values)(*shapes), inputs))
+    return np.unique(numbers, return_inverse=True)[1].reshape(-1)

@@ -44,8 +44,7 @@ class March(NamedTuple):
         jumps = self.jumps.astype(self.t0.dtype)
         after = np.append(np.nextafter(jumps, jumps.dtype.type(np.inf)), self.t1)
         end = jnp.asarray(self.ends)[jump]
-        within = lambda t, x: rate(jnp.minimum(t, end), x)
-        moved, dense = self.stepper.step(within, lane, end)
+        moved, dense = self.stepper.step(rate.until(end), lane, end)
         there = (lane.code == RUNNING) & (moved.code == ENDED)
         over = there & (jump < self.jumps.size)
         # After a jump a step is as long as the one before it was meant to be.

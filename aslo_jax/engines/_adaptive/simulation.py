@@ -1,6 +1,5 @@
 """Continuous co-simulation by the fused engine: one run, or many beside each other."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -20,7 +19,7 @@ from .derivatives import beside_tangents, rates_of, tangents_of
 from .marching import March
 from .pairs import pair_for
 from .program import Bodies, adaptive
-from .stepper import DIVERGED, ENDED, RUNNING, Dense, Stepper
+from .stepper import DIVERGED, ENDED, RUNNING, Dense, Field, Stepper
 from .system import System
 
 
@@ -68,7 +67,7 @@ def bodies(system: System, plan: Plan) -> Bodies:
 
     states = traced(system.init, system.rate)
 
-    def of(arrays: PyTree, times: int = ALWAYS) -> tuple[States, Callable]:
+    def of(arrays: PyTree, times: int = ALWAYS) -> tuple[States, Field]:
         alike = states(arrays)
         return alike, alike.field_at(arrays, times)
 

@@ -9,15 +9,38 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from .locating import Kinks, begun, following, judged
 from .pairs import Pair
 
-Field = Callable[[Any, Any], Any]
+
+class Field(NamedTuple):
+    """A vector field: `rate(t, x, sides)`, its value and those of its `switches`, switching
+    functions, with their sides, or None where it has none."""
+
+    rate: Callable[[Any, Any, Any], tuple[Any, Any]]
+    switches: int = 0
+
+    def at(self, t: Any, x: Any) -> Any:
+        """The value alone, with no side held."""
+        return self.rate(t, x, self.none(x))[0]
+
+    def none(self, x: Any) -> Any:
+        """The sides where none is held."""
+        return jnp.zeros(self.switches, x.dtype) if self.switches else None
+
+    def until(self, end: Any) -> "Field":
+        """The field up to an instant, and no further."""
+        rate = lambda t, x, sides: self.rate(jnp.minimum(t, end), x, sides)
+        return Field(rate, self.switches)
+
+
 SAFETY, LEAST, MOST = 0.9, 0.2, 2.5  # of the next step over this one
 STARTING, FIRST = 5, 12.0  # so many steps may become as many times longer
 ITERATIONS = 6  # of the largest rate
 BOUNDED = 0.8  # of the stable interval
 LITTLE, MUCH = 1e-10, 1e20  # an error over what is tolerated, as small or large as any
 WORTH = 500  # steps below which nothing else would take less
+UNFOLLOWED = 30.0  # the error over what is tolerated where switching functions are not
 SMALLEST = 4.0  # units of the last place of time: a step below is none
 
 RUNNING, ENDED, DIVERGED = 0, 1, 2
@@ -26,8 +49,8 @@ RUNNING, ENDED, DIVERGED = 0, 1, 2
 class Lane(NamedTuple):
     """Where a lane is: `code`, whether it runs, has ended at the last instant, or has come
     to a point from which no step leads on; t and x, the length h to be tried, the binary
-    logarithm of the last error over what is tolerated, and how many steps were `accepted`
-    and how many `rejected`."""
+    logarithm of the last error over what is tolerated, how many steps were `accepted` and
+    how many `rejected`, and its `kinks`, None without any."""
 
     code: Int[Array, ""]
     t: Float[Array, ""]
@@ -38,11 +61,12 @@ class Lane(NamedTuple):
     error: Float[Array, ""]
     accepted: Float[Array, ""]
     rejected: Float[Array, ""]
+    kinks: Kinks | None
 
 
 class Dense(NamedTuple):
-    """A step from t to `end`, h long, from x, with the slopes `k` of its stages; whether it
-    was `accepted`."""
+    """A step from t to `end`, h long, from x, with the slopes `k` of its stages and the
+    sides of switching functions; whether it was `accepted`."""
 
     accepted: Any
     t: Any
@@ -50,6 +74,7 @@ class Dense(NamedTuple):
     h: Any
     x: Any
     k: list[Any]
+    sides: Any
 
 
 class Stepper(NamedTuple):
@@ -60,21 +85,22 @@ class Stepper(NamedTuple):
     absolute: Any
     jumps: bool = False
 
-    @property
-    def reuses(self) -> bool:
-        """Whether the last slope of a step is the first of the next one."""
-        return self.pair.reuses and not self.jumps
+    def reuses(self, field: Field) -> bool:
+        """Whether the last slope of a step is the first of the next one: with switching
+        functions, that at its end."""
+        return (self.pair.reuses or field.switches > 0) and not self.jumps
 
     def begin(self, field: Field, t0: Any, t1: Any, x: Any) -> Lane:
         """At t0, with a first step by Hairer's rule (Hairer, Norsett, Wanner, Solving
         Ordinary Differential Equations I, section II.4)."""
-        f0 = field(t0, x)
+        f0, values = field.rate(t0, x, field.none(x))
         span, scale = t1 - t0, self._scale(jnp.abs(x))
         size, slope = _norm(x / scale), _norm(f0 / scale)
         tiny = (size < 1e-5) | (slope < 1e-5)
         h = jnp.where(tiny, 1e-6 * span, 0.01 * size / jnp.where(tiny, 1.0, slope))
         h = jnp.minimum(h, span)
-        bent = _norm((field(t0 + h, x + h * f0) - f0) / scale) / h
+        later, after = field.rate(t0 + h, x + h * f0, field.none(x))
+        bent = _norm((later - f0) / scale) / h
         steepest = jnp.maximum(slope, bent)
         flat = steepest <= 1e-15
         power = (0.01 / jnp.where(flat, 1.0, steepest)) ** (1.0 / self.pair.falls)
@@ -85,9 +111,9 @@ class Stepper(NamedTuple):
         first = jnp.asarray(math.log2(1e-4), jnp.float32)
         code = jnp.asarray(RUNNING, jnp.int32)
         h = jnp.minimum(h, span)
-        return Lane(
-            code, t0, x, jnp.abs(x), f0 if self.reuses else None, h, first, zero, zero
-        )
+        kinks = None if values is None else begun(values, after)
+        slope = f0 if self.reuses(field) else None
+        return Lane(code, t0, x, jnp.abs(x), slope, h, first, zero, zero, kinks)
 
     def step(self, field: Field, lane: Lane, t1: Any) -> tuple[Lane, Dense]:
         """The lane after an attempted step, which ends at t1 at the latest."""
@@ -96,30 +122,49 @@ class Stepper(NamedTuple):
         left = t1 - t
         last = left <= lane.h * (1.0 + 1e-10)
         h = jnp.where(last, left, lane.h)
-        known = [] if lane.slope is None else [lane.slope]
-        k = slopes(pair, field, t, x, h, range(len(known), pair.main), known)
+        kinks, seen, known = lane.kinks, [], []
+        if lane.slope is not None:
+            known = [lane.slope]
+        elif kinks is not None:  # which may have jumped
+            slope, values = field.rate(t, x, field.none(x))
+            kinks, known = kinks.at(values), [slope]
+        sides = None if kinks is None else kinks.sides
+
+        def rate(t, x):
+            slope, values = field.rate(t, x, sides)
+            seen.append(values)
+            return slope
+
+        nodes = pair.nodes[len(known) : pair.main].tolist()
+        k = slopes(pair, rate, t, x, h, range(len(known), pair.main), known)
         end = x + h * weighted(pair.weights, k)
         peak = _larger(jnp.abs(end), lane.peak)
         # How long a step may be need not be known to more than some digits.
-        wrong = weighted(pair.error, k).astype(jnp.float32)
-        wrong = jnp.abs(wrong / self._scale(peak).astype(jnp.float32))
+        scale = self._scale(peak).astype(jnp.float32)
+        wrong = jnp.abs(weighted(pair.error, k).astype(jnp.float32) / scale)
         largest = _largest(wrong) * h.astype(jnp.float32)
         sound = jnp.isfinite(jnp.sum(wrong))
-        accepted = running & (largest <= 1.0) & sound
-        size = _log2(_larger(jnp.where(sound & (largest < MUCH), largest, MUCH), LITTLE))
-        power = 1.0 / pair.falls
-        exponent = jnp.where(
-            accepted,
-            pair.gain * lane.error - (power - 0.75 * pair.gain) * size,
-            -power * size,
-        )
-        most = jnp.where(lane.accepted < STARTING, math.log2(FIRST), math.log2(MOST))
-        exponent = _larger(exponent + math.log2(SAFETY), math.log2(LEAST))
-        exponent = jnp.where(exponent < most, exponent, most)
-        factor = _exp2(jnp.where(accepted | (exponent < 0.0), exponent, 0.0))
-        after = h * factor.astype(h.dtype)
-        after = jnp.where(accepted & last, jnp.maximum(after, lane.h), after)
         least = SMALLEST * jnp.finfo(x.dtype).eps * jnp.maximum(jnp.abs(t), jnp.abs(t1))
+        slope, verdict, values = k[-1], None, None
+        if kinks is not None:
+            slope, values = field.rate(t + h, end, field.none(x))
+            off = jnp.abs((slope - k[-1]).astype(jnp.float32) / scale)
+            off = jnp.where(jnp.isfinite(jnp.sum(off)), _largest(off), MUCH)
+            off = off.astype(h.dtype)
+            seen.append(values)
+            verdict = judged(kinks, nodes, pair.error, seen, off, h, least)
+            largest = jnp.where(verdict.follow, largest, _larger(largest, UNFOLLOWED))
+        precise = (largest <= 1.0) & sound
+        fine = True if verdict is None else verdict.fine
+        accepted = running & precise & fine
+        size = _log2(_larger(jnp.where(sound & (largest < MUCH), largest, MUCH), LITTLE))
+        after = h * self._factor(lane, size, accepted).astype(h.dtype)
+        after = jnp.where(accepted & last, jnp.maximum(after, lane.h), after)
+        if kinks is not None and verdict is not None:
+            nearer = jnp.minimum(jnp.where(precise, jnp.inf, after), verdict.shorter)
+            onward = jnp.maximum(jnp.minimum(after, verdict.longest), verdict.resumed)
+            after = jnp.where(accepted, onward, jnp.where(verdict.fine, after, nearer))
+            kinks = following(kinks, verdict, values, h, accepted, running)
         stuck = ~accepted & (h <= least)
         code = jnp.where(
             running,
@@ -134,24 +179,39 @@ class Stepper(NamedTuple):
             now,
             jnp.where(accepted, end, x),
             jnp.where(accepted, peak, lane.peak),
-            None if lane.slope is None else jnp.where(accepted, k[-1], lane.slope),
+            None if lane.slope is None else jnp.where(accepted, slope, lane.slope),
             jnp.where(running, after, lane.h),
             jnp.where(accepted, _larger(size, math.log2(1e-4)), lane.error),
             lane.accepted + more,
             lane.rejected + (one - more),
+            kinks,
         )
-        return moved, Dense(accepted, t, now, h, x, k)
+        return moved, Dense(accepted, t, now, h, x, k, sides)
+
+    def _factor(self, lane: Lane, size: Any, accepted: Any) -> Any:
+        """Of the length of the next step over this one, for the logarithm of its error over
+        what is tolerated."""
+        pair, power = self.pair, 1.0 / self.pair.falls
+        exponent = jnp.where(
+            accepted,
+            pair.gain * lane.error - (power - 0.75 * pair.gain) * size,
+            -power * size,
+        )
+        most = jnp.where(lane.accepted < STARTING, math.log2(FIRST), math.log2(MOST))
+        exponent = _larger(exponent + math.log2(SAFETY), math.log2(LEAST))
+        exponent = jnp.where(exponent < most, exponent, most)
+        return _exp2(jnp.where(accepted | (exponent < 0.0), exponent, 0.0))
 
     def stiff(self, field: Field, lane: Lane, t1: Any) -> Any:
         """Whether the next step would be bounded by stability: its length times the largest
         rate of the linearised system, by some steps of the power iteration, is near the end
         of the interval on the negative real axis where the pair is stable."""
         scale = self._scale(lane.peak)
-        f = field(t1, lane.x)
+        f = field.at(t1, lane.x)
         v = jnp.where(f >= 0.0, scale, -scale)
         rate = jnp.zeros_like(lane.t)
         for _ in range(ITERATIONS):
-            moved = field(t1, lane.x + v) - f
+            moved = field.at(t1, lane.x + v) - f
             size = _norm(moved / scale)
             rate = size / _norm(v / scale)
             v = moved / jnp.where(size > 0.0, size, 1.0)
@@ -161,7 +221,7 @@ class Stepper(NamedTuple):
     def prepared(self, field: Field, dense: Dense) -> Dense:
         """With the slopes of all stages of the interpolant."""
         pair = self.pair
-        within = lambda t, x: field(jnp.minimum(t, dense.end), x)
+        within = lambda t, x: field.until(dense.end).rate(t, x, dense.sides)[0]
         more = range(pair.main, len(pair.stages))
         k = slopes(pair, within, dense.t, dense.x, dense.h, more, dense.k)
         return dense._replace(k=k)
@@ -183,7 +243,13 @@ class Stepper(NamedTuple):
 
 
 def slopes(
-    pair: Pair, field: Field, t: Any, x: Any, h: Any, stages: range, known: list[Any]
+    pair: Pair,
+    rate: Callable[[Any, Any], Any],
+    t: Any,
+    x: Any,
+    h: Any,
+    stages: range,
+    known: list[Any],
 ) -> list[Any]:
     """Those that are `known`, and then those of further `stages`."""
     k = list(known)
@@ -191,7 +257,7 @@ def slopes(
         x_i = x  # what each slope adds is small: rounding it in turn does no harm
         for a, each in zip(pair.stages[i], k, strict=False):
             x_i = x_i + (h * float(a)) * each if a else x_i
-        k.append(field(t + float(pair.nodes[i]) * h, x_i))
+        k.append(rate(t + float(pair.nodes[i]) * h, x_i))
     return k
 
 

@@ -34,6 +34,8 @@ def several(
         places[number] = which, k if which == 0 else counts[which]
         counts[which] += 1
     names: dict[int, str] = {}
+    if function.gated:
+        _gate(out, graph.dtype(inputs[0][1]), [graph.dtype(n) for n in results], step)
 
     def constant(number: int) -> str:
         """A real one from memory, which an instruction takes as it is: large addresses of
@@ -76,3 +78,18 @@ def several(
         place = out.define(f"getelementptr i8, ptr %to, i64 {k * step}")
         out.store(value, place, dtype)
     out.line("ret void")
+
+
+def _gate(out: Writer, gate: np.dtype, results: Sequence[np.dtype], step: int) -> None:
+    """Leaves a function, with results of zero, where its first argument is zero in all
+    lanes."""
+    kind, zero = out.type(gate, True), out.constant(0, gate, True)
+    given = out.load("%a0", gate, True)
+    wanted = out.agree(out.define(f"fcmp une {kind} {given}, {zero}"), False)
+    out.line(f"br i1 {wanted}, label %some, label %none")
+    out.label("none")
+    for k, dtype in enumerate(results):
+        place = out.define(f"getelementptr i8, ptr %to, i64 {k * step}")
+        out.store(out.constant(0, dtype, True), place, dtype)
+    out.line("ret void")
+    out.label("some")

@@ -5,15 +5,6 @@ from typing import NamedTuple
 import numpy as np
 
 from .values import Values
-from .writer import Writer
-
-
-def agree(out: Writer, mask: str, everywhere: bool) -> str:
-    """Whether a boolean holds for all lanes, or for some."""
-    lanes = out.width
-    bits = out.define(f"bitcast <{lanes} x i1> {mask} to i{lanes}")
-    test = f"eq i{lanes} {bits}, -1" if everywhere else f"ne i{lanes} {bits}, 0"
-    return out.define(f"icmp {test}")
 
 
 class Parts(NamedTuple):
@@ -53,7 +44,7 @@ class Saving:
         number = self.loop.record[0]
         needed = set(self.graph.reachable([number]))
         self.values.compute([n for n in self.values.layout.body.record if n in needed])
-        return agree(self.out, self.values.operand(number, True), True)
+        return self.out.agree(self.values.operand(number, True), True)
 
     def rows(self) -> None:
         """Saves those that are due after a step whose results are read back, and goes on to
@@ -105,7 +96,7 @@ class Saving:
             )
 
     def _branch(self, name: str) -> None:
-        due = agree(self.out, self.values.operand(self.loop.record[1], True), False)
+        due = self.out.agree(self.values.operand(self.loop.record[1], True), False)
         self.out.line(f"br i1 {due}, label %{name}, label %advanced")
 
     def _write(self) -> None:

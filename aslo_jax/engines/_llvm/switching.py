@@ -34,10 +34,8 @@ def branch(out: Writer, conditions: Sequence[Condition], agreed: bool) -> None:
         ]
         masks = [pair[which] for pair, c in zip(pairs, conditions, strict=True) if c.vector]
         if masks:
-            lanes = out.width
-            mask = _all(out, masks, f"<{lanes} x i1>")
-            bits = out.define(f"bitcast <{lanes} x i1> {mask} to i{lanes}")
-            names.append(out.define(f"icmp eq i{lanes} {bits}, -1"))
+            mask = _all(out, masks, f"<{out.width} x i1>")
+            names.append(out.agree(mask, True))
         return _all(out, names, "i1")
 
     if agreed:

@@ -97,6 +97,13 @@ class Writer:
         mask = f"<{self.width} x i32> zeroinitializer"
         return self.define(f"shufflevector {wide} {one}, {wide} poison, {mask}")
 
+    def agree(self, mask: str, everywhere: bool) -> str:
+        """Whether a boolean holds for all lanes, or for some."""
+        lanes = self.width
+        bits = self.define(f"bitcast <{lanes} x i1> {mask} to i{lanes}")
+        test = f"eq i{lanes} {bits}, -1" if everywhere else f"ne i{lanes} {bits}, 0"
+        return self.define(f"icmp {test}")
+
     def cut(self, vector: str, first: int, lanes: int, dtype: Any) -> str:
         """So many lanes of a vector, from `first`."""
         if (first, lanes) == (0, self.width):
