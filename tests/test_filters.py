@@ -173,8 +173,12 @@ def test_arguments_are_refused_with_the_remedy():
         aslo.LowPass(float("nan"))
     with pytest.raises(ValueError, match=r"stable matrix .* largest real part is 0\.5"):
         aslo.LinearFilter([[0.5]], [1.0], [1.0])
-    with pytest.raises(ValueError, match=r"shapes \(k, k\), \(k,\) and \(k,\)"):
+    expected = r"shapes \(k, k\), \(k,\) and \(k,\), but got \(2, 2\), \(1,\) and \(2,\)\."
+    with pytest.raises(ValueError, match=expected):
         aslo.LinearFilter([[-1.0, 0.0], [0.0, -2.0]], [1.0], [1.0, 1.0])
+    for A in (-2.0, [-2.0, -1.0], [[[-2.0]]]):
+        with pytest.raises(ValueError, match="`A` must be a matrix, but got an array of"):
+            aslo.LinearFilter(A, [1.0], [1.0])
     with pytest.raises(ValueError, match="`frequency` must be positive"):
         sinusoid_rejecting(1.0, -1.0)
 
