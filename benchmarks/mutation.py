@@ -66,6 +66,7 @@ LATEST = 1200.0  # seconds for the tests of a mutant, of which one may loop for 
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=300, help="mutants in the sample")
+    parser.add_argument("--first", type=int, default=1, help="of these to run, from 1 on")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
     parser.add_argument("--work", type=Path, default=Path("mutation"), help="where to work")
     parser.add_argument("--quick", action="store_true", help="without what takes long")
@@ -89,7 +90,7 @@ def main(argv: list[str] | None = None) -> int:
     with use_db(work / "session.sqlite") as db:
         if not db.num_work_items:
             init([tree / path_of(name) for name in TESTS], db, {})
-        chosen = sample(db, asked.count, asked.seed)
+        chosen = sample(db, asked.count, asked.seed)[max(asked.first, 1) - 1 :]
         for part in range(PARTS - asked.quick):
             done = {item.job_id for item, _ in db.completed_work_items}
             for item in chosen:
