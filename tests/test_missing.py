@@ -381,3 +381,17 @@ def test_a_state_without_a_memory_of_samples_is_as_one_from_init(there, engine):
     assert not found.coasting[1:].any()
     np.testing.assert_array_equal(found.coasting, expected.coasting)
     np.testing.assert_allclose(found.value, expected.value, rtol=1e-12)
+
+
+def test_a_state_may_be_traced():
+    """What is left of a log then goes on as from a concrete one: whether samples are
+    missing before it is not known while tracing."""
+    t, u, y, _ = motor_log(40)
+    u = np.where((np.arange(40) == 19)[:, None], np.nan, u)
+    made = observer(guard=None)
+    _, state = aslo.replay(made, t[:21], u[:21], y[:21], missing="coast", return_state=True)
+    assert state.gap.weight == 0.0
+    run = lambda state: aslo.replay(made, t[20:], u[20:], y[20:], state=state)
+    found, expected = jax.jit(run)(state), run(state)
+    np.testing.assert_allclose(found.value, expected.value, rtol=1e-12)
+    np.testing.assert_array_equal(found.coasting, expected.coasting)
