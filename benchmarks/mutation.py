@@ -47,8 +47,8 @@ TESTS = {
     "_completions": "oracle certificate rows guard sampled two_rates refused_values errors"
     " missing",
     "_guard": "guard oracle refused_values sampled missing",
-    "_replay": "oracle once sampled step estimate_pieces errors refusals hidden_errors"
-    " missing",
+    "_replay": "oracle once sampled step fused_replay estimate_pieces errors refusals"
+    " hidden_errors missing",
 }
 # Not in the sample, since anything kills them: bitwise operators, which floating-point
 # numbers refuse, the changes of `X | None` in an annotation, and of the `*` before what is
