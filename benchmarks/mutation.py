@@ -60,7 +60,10 @@ STUB = re.compile(r"^@overload\n(.*\n)+?.*\.\.\.$", re.MULTILINE)
 # take together where nothing is changed.
 QUICK = 3.0, 3.0
 PARTS = 3
-LATEST = 1200.0  # seconds for the tests of a mutant, of which one may loop for ever
+LATEST = 1200.0  # seconds for tests where nothing is known of them
+# Of a mutant one may loop for ever, as integrators do without a number: seconds for them,
+# and for each that they take of the processor where nothing is changed.
+LEAST, EACH = 120.0, 10.0
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -190,7 +193,9 @@ def tested(item: WorkItem, db: WorkDB, work: Path, record: Record, part: int) ->
     if left.get(item.job_id, 0) > part:
         return
     begun = processor()
-    result = mutated(item, work, parts(item, record)[part])
+    tests = parts(item, record)[part]
+    latest = LEAST + EACH * sum(record.times[test] for test in tests)
+    result = mutated(item, work, tests, latest)
     taken = f"{processor() - begun:5.1f} s"
     if part < PARTS - 1 and result.test_outcome == TestOutcome.SURVIVED:
         path.write_text(json.dumps(left | {item.job_id: part + 1}))
@@ -225,8 +230,8 @@ def within(limit: float, tests: list[str], record: Record) -> list[str]:
     return tests[: max(1, sum(each < limit for each in taken))]
 
 
-def mutated(item: WorkItem, work: Path, tests: list[str]) -> WorkResult:
-    """What the `tests` say of a mutant."""
+def mutated(item: WorkItem, work: Path, tests: list[str], latest: float) -> WorkResult:
+    """What the `tests` say of a mutant within `latest` seconds."""
     failed, output = work / "failed.txt", work / "output.txt"
     failed.write_text("")
     files = list(dict.fromkeys(test.split("::")[0] for test in tests))
@@ -239,7 +244,7 @@ def mutated(item: WorkItem, work: Path, tests: list[str]) -> WorkResult:
         return pytest_in(tree, files, cache, plugin, keep=False)
 
     with use_mutation(mutation.module_path, changes, mutation.occurrence) as (old, new):
-        status = forked(run, output, LATEST) if files else NONE_COLLECTED
+        status = forked(run, output, latest) if files else NONE_COLLECTED
     survived = status in (0, NONE_COLLECTED)
     by = failed.read_text().strip() or ("too long" if status is None else "import")
     return WorkResult(
