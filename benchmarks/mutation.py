@@ -40,7 +40,7 @@ COPIED = ("aslo_jax", "tests", "pyproject.toml", "README.md", "LICENSE")
 # The tests that speak of a module, the quick ones first.
 TESTS = {
     "_filters": "filters oracle sampled small realise step relations refused_values",
-    "_realise": "realise oracle once step filters sampled hidden_errors missing",
+    "_realise": "realise oracle once step filters sampled schedules hidden_errors missing",
     "_relations": "oracle certificate relations rows sampled once refused_values refusals"
     " gradients",
     "_swapped": "swapped oracle relations sampled rows limits paced_rates",
