@@ -45,7 +45,7 @@ TESTS = {
     " gradients",
     "_swapped": "swapped oracle relations sampled rows limits paced_rates",
     "_completions": "oracle certificate rows guard sampled two_rates refused_values errors"
-    " missing",
+    " missing docstrings",
     "_guard": "guard oracle refused_values sampled missing",
     "_replay": "oracle once sampled step fused_replay estimate_pieces errors refusals"
     " hidden_errors missing",
