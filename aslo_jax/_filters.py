@@ -189,7 +189,9 @@ class LinearFilter(AbstractFilter):
 
     def __check_init__(self) -> None:
         shapes = jnp.shape(self.A), jnp.shape(self.B), jnp.shape(self.C)
-        if len(shapes[0]) == 2 and shapes != (2 * shapes[1], shapes[1], shapes[1]):
+        if len(shapes[0]) != 2:
+            return  # the base refuses what is no matrix
+        if shapes != (2 * shapes[1], shapes[1], shapes[1]):
             raise ValueError(
                 "Arguments `A`, `B`, `C` must have shapes (k, k), (k,) and (k,), but got "
                 f"{shapes[0]}, {shapes[1]} and {shapes[2]}."

@@ -16,7 +16,7 @@ from ._checks import is_concrete, kind, one_of
 from ._typing import Engine, Missing, PyTree
 from .observers import AbstractObserver, Estimate, ObserverState
 from .observers._base import Est, check_states
-from .observers._missing import DOUBT, either, finite, marked, zeros
+from .observers._missing import DOUBT, Gap, either, finite, marked, zeros
 
 
 @overload
@@ -185,8 +185,7 @@ def _run(
 ) -> tuple[Est, ObserverState]:
     t0, u, y, intervals = log
     u0, y0 = jax.tree.map(lambda s: s[0], (u, y))
-    if state is None:
-        state = observer.init(y0, u0)
+    state = _started(observer, y0, u0, state, coasts)
     laws = observer.allocate(y0, u0)
     check_states(state.states, laws.states)
     first = _first(observer, t0, state, u0, y0, coasts)
@@ -262,13 +261,23 @@ def _begun_by_machine_code(*arguments):
 def _beginning(observer, t0, u, y, state, interval, coasts):
     """The state to begin with, its estimate, and the coefficients for an `interval` (s)."""
     begun = observer.allocate(y, u)
-    state = observer.init(y, u) if state is None else state
+    state = _started(observer, y, u, state, coasts)
     check_states(state.states, begun.states)
     laws = None if interval is None else begun.discretise(interval)
     return state, _first(observer, t0, state, u, y, coasts), laws
 
 
 _begun = eqx.filter_jit(_beginning)
+
+
+def _started(observer, y, u, state, coasts):
+    """The `state` to begin with: where samples may be missing, one that remembers them, as
+    one of continuous time does not."""
+    if state is None:
+        return observer.init(y, u)
+    if coasts and state.gap is None:
+        return ObserverState(state.states, state.y, Gap.before(u, state.y)[0])
+    return state
 
 
 def _first(observer, t0, state, u, y, coasts):
@@ -279,5 +288,5 @@ def _first(observer, t0, state, u, y, coasts):
     there = finite(y)
     u = either(finite(u), u, zeros(u))
     y = either(there, observer.continued(state.y, y), state.y)
-    doubtful = ~there if state.gap is None else ~there | (state.gap.doubt > DOUBT)
+    doubtful = ~there | (state.gap.doubt > DOUBT)
     return marked(observer.estimate(t0, state, u, y), doubtful, Estimate)

@@ -143,7 +143,7 @@ def exponential_integrals(
     small = Z / 2.0 ** doublings.astype(Z.dtype)
     phi2 = jnp.zeros_like(Z)
     for n in reversed(range(TERMS)):
-        phi2 = one / math.factorial(n + 2) + small @ phi2
+        phi2 = one / float(math.factorial(n + 2)) + small @ phi2
     phi1 = one + small @ phi2
     phi0 = one + small @ phi1
 

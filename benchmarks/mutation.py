@@ -40,15 +40,15 @@ COPIED = ("aslo_jax", "tests", "pyproject.toml", "README.md", "LICENSE")
 # The tests that speak of a module, the quick ones first.
 TESTS = {
     "_filters": "filters oracle sampled small realise step relations refused_values",
-    "_realise": "realise oracle once step filters sampled hidden_errors missing",
+    "_realise": "realise oracle once step filters sampled schedules hidden_errors missing",
     "_relations": "oracle certificate relations rows sampled once refused_values refusals"
     " gradients",
     "_swapped": "swapped oracle relations sampled rows limits paced_rates",
     "_completions": "oracle certificate rows guard sampled two_rates refused_values errors"
-    " missing",
+    " missing docstrings",
     "_guard": "guard oracle refused_values sampled missing",
-    "_replay": "oracle once sampled step estimate_pieces errors refusals hidden_errors"
-    " missing",
+    "_replay": "oracle once sampled step fused_replay estimate_pieces errors refusals"
+    " hidden_errors missing",
 }
 # Not in the sample, since anything kills them: bitwise operators, which floating-point
 # numbers refuse, the changes of `X | None` in an annotation, and of the `*` before what is
@@ -60,12 +60,16 @@ STUB = re.compile(r"^@overload\n(.*\n)+?.*\.\.\.$", re.MULTILINE)
 # take together where nothing is changed.
 QUICK = 3.0, 3.0
 PARTS = 3
-LATEST = 1200.0  # seconds for the tests of a mutant, of which one may loop for ever
+LATEST = 1200.0  # seconds for tests where nothing is known of them
+# Of a mutant one may loop for ever, as integrators do without a number: seconds for them,
+# and for each that they take of the processor where nothing is changed.
+LEAST, EACH = 120.0, 10.0
 
 
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=300, help="mutants in the sample")
+    parser.add_argument("--first", type=int, default=1, help="of these to run, from 1 on")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
     parser.add_argument("--work", type=Path, default=Path("mutation"), help="where to work")
     parser.add_argument("--quick", action="store_true", help="without what takes long")
@@ -89,7 +93,7 @@ def main(argv: list[str] | None = None) -> int:
     with use_db(work / "session.sqlite") as db:
         if not db.num_work_items:
             init([tree / path_of(name) for name in TESTS], db, {})
-        chosen = sample(db, asked.count, asked.seed)
+        chosen = sample(db, asked.count, asked.seed)[max(asked.first, 1) - 1 :]
         for part in range(PARTS - asked.quick):
             done = {item.job_id for item, _ in db.completed_work_items}
             for item in chosen:
@@ -189,7 +193,9 @@ def tested(item: WorkItem, db: WorkDB, work: Path, record: Record, part: int) ->
     if left.get(item.job_id, 0) > part:
         return
     begun = processor()
-    result = mutated(item, work, parts(item, record)[part])
+    tests = parts(item, record)[part]
+    latest = LEAST + EACH * sum(record.times[test] for test in tests)
+    result = mutated(item, work, tests, latest)
     taken = f"{processor() - begun:5.1f} s"
     if part < PARTS - 1 and result.test_outcome == TestOutcome.SURVIVED:
         path.write_text(json.dumps(left | {item.job_id: part + 1}))
@@ -224,8 +230,8 @@ def within(limit: float, tests: list[str], record: Record) -> list[str]:
     return tests[: max(1, sum(each < limit for each in taken))]
 
 
-def mutated(item: WorkItem, work: Path, tests: list[str]) -> WorkResult:
-    """What the `tests` say of a mutant."""
+def mutated(item: WorkItem, work: Path, tests: list[str], latest: float) -> WorkResult:
+    """What the `tests` say of a mutant within `latest` seconds."""
     failed, output = work / "failed.txt", work / "output.txt"
     failed.write_text("")
     files = list(dict.fromkeys(test.split("::")[0] for test in tests))
@@ -238,7 +244,7 @@ def mutated(item: WorkItem, work: Path, tests: list[str]) -> WorkResult:
         return pytest_in(tree, files, cache, plugin, keep=False)
 
     with use_mutation(mutation.module_path, changes, mutation.occurrence) as (old, new):
-        status = forked(run, output, LATEST) if files else NONE_COLLECTED
+        status = forked(run, output, latest) if files else NONE_COLLECTED
     survived = status in (0, NONE_COLLECTED)
     by = failed.read_text().strip() or ("too long" if status is None else "import")
     return WorkResult(

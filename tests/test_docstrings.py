@@ -125,6 +125,16 @@ def test_every_name_has_a_docstring():
     assert not faults(lambda value: not own(value) and not inspect.getdoc(value))
 
 
+def test_the_names_of_abstract_classes_say_so():
+    """What has no meaning of its own cannot be made."""
+
+    def misnamed(value: Any) -> bool:
+        abstract = inspect.isclass(value) and inspect.isabstract(value)
+        return abstract != value.__name__.startswith("Abstract")
+
+    assert not faults(misnamed)
+
+
 def test_every_parameter_is_named():
     def unnamed(value: Any) -> list[str]:
         text = documentation(value)

@@ -134,6 +134,23 @@ def test_hold_weights_are_accurate_and_positive_in_single_precision(v):
     np.testing.assert_allclose(got.right, float(right), rtol=1e-6)
 
 
+def test_a_slow_filter_of_any_order_keeps_its_digits_in_single_precision():
+    """Two seconds at 20 kHz beside the exponential, in the precision that JAX has by
+    default. Rounding moves each of N steps by up to 6e-8, together by a root of N of them;
+    a decay that is rounded before 1 is taken from it would be off by some 3e-4."""
+    A, B, begun = [[-0.9, 0.4], [-0.3, -0.7]], [1.0, -0.5], np.array([0.8, -0.6])
+    h, steps = 5e-5, 40_000
+    with jax.enable_x64(False):
+        filter = aslo.LinearFilter(A, B, [1.0, 0.0])
+        hold, v = filter.discretise(h), filter.inject(1.0)
+        step = lambda k, X: filter.advance(X, v, v, hold)
+        found = jax.lax.fori_loop(0, steps, step, jnp.asarray(begun))
+    assert found.dtype == jnp.float32
+    settled = -np.linalg.solve(A, B)
+    expected = settled + scipy.linalg.expm(steps * h * np.array(A)) @ (begun - settled)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=6e-8 * steps**0.5)
+
+
 def test_hold_weights_are_differentiable_in_the_rate():
     def weights(rate, h):
         return jnp.stack(jax.tree.leaves(aslo.LowPass(rate).discretise(h)))
@@ -173,8 +190,12 @@ def test_arguments_are_refused_with_the_remedy():
         aslo.LowPass(float("nan"))
     with pytest.raises(ValueError, match=r"stable matrix .* largest real part is 0\.5"):
         aslo.LinearFilter([[0.5]], [1.0], [1.0])
-    with pytest.raises(ValueError, match=r"shapes \(k, k\), \(k,\) and \(k,\)"):
+    expected = r"shapes \(k, k\), \(k,\) and \(k,\), but got \(2, 2\), \(1,\) and \(2,\)\."
+    with pytest.raises(ValueError, match=expected):
         aslo.LinearFilter([[-1.0, 0.0], [0.0, -2.0]], [1.0], [1.0, 1.0])
+    for A in (-2.0, [-2.0, -1.0], [[[-2.0]]]):
+        with pytest.raises(ValueError, match="`A` must be a matrix, but got an array of"):
+            aslo.LinearFilter(A, [1.0], [1.0])
     with pytest.raises(ValueError, match="`frequency` must be positive"):
         sinusoid_rejecting(1.0, -1.0)
 

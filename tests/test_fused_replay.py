@@ -74,6 +74,18 @@ def test_many_logs_and_observers_beside_each_other():
     same(shared.value[2], one("fused")(u, y, 30.0).value, 1e-10)
 
 
+def test_the_engine_that_is_asked_for_runs_what_is_traced():
+    """The machine code of `"fused"` stands in the traced program; `"auto"` scans there."""
+    u, y = log(T[:40])
+
+    def calls(engine):
+        run = lambda u, y: aslo.replay(observer(), T[:40], u, y, engine=engine).value
+        return str(jax.make_jaxpr(run)(u, y)).count("pure_callback")
+
+    # The checks of the log are calls, too.
+    assert calls("fused") > calls("scan") == calls("auto")
+
+
 def test_what_does_not_fit_is_refused():
     u, y = log(T)
     with pytest.raises(ValueError, match='`engine` must be "auto", "fused" or "scan"'):

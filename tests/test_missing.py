@@ -361,3 +361,37 @@ def test_a_log_goes_on_while_the_last_hole_is_still_doubted():
     np.testing.assert_array_equal(rest.coasting, whole.coasting[cut:])
     np.testing.assert_allclose(rest.value, whole.value[cut:], rtol=1e-12)
     assert rest.coasting[1] and not rest.coasting[-1]
+
+
+@pytest.mark.parametrize("engine", ["scan", "fused"])
+@pytest.mark.parametrize("there", [True, False])
+def test_a_state_without_a_memory_of_samples_is_as_one_from_init(there, engine):
+    """Such as one of continuous time: only the first row tells whether it is missing."""
+    t, u, y, _ = motor_log(30)
+    made = observer(guard=None)
+    state = made.init(y[0], u[0])
+    assert state.gap is not None
+    y[0] = y[0] if there else np.nan
+    bare = aslo.ObserverState(state.states, state.y)
+    found, expected = (
+        aslo.replay(made, t, u, y, missing="coast", state=each, engine=engine)
+        for each in (bare, state)
+    )
+    assert bool(found.coasting[0]) != there
+    assert not found.coasting[1:].any()
+    np.testing.assert_array_equal(found.coasting, expected.coasting)
+    np.testing.assert_allclose(found.value, expected.value, rtol=1e-12)
+
+
+def test_a_state_may_be_traced():
+    """What is left of a log then goes on as from a concrete one: whether samples are
+    missing before it is not known while tracing."""
+    t, u, y, _ = motor_log(40)
+    u = np.where((np.arange(40) == 19)[:, None], np.nan, u)
+    made = observer(guard=None)
+    _, state = aslo.replay(made, t[:21], u[:21], y[:21], missing="coast", return_state=True)
+    assert state.gap.weight == 0.0
+    run = lambda state: aslo.replay(made, t[20:], u[20:], y[20:], state=state)
+    found, expected = jax.jit(run)(state), run(state)
+    np.testing.assert_allclose(found.value, expected.value, rtol=1e-12)
+    np.testing.assert_array_equal(found.coasting, expected.coasting)

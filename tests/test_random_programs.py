@@ -10,8 +10,9 @@ from program_checks import Outcome
 from random_programs import generate
 
 pytest.importorskip("llvmlite")
-# The last one tells zeros of another sign, where a kernel has other lanes.
-FEW, SEEDS = (*range(5), 1026), range(5, 40)
+# The last one of the first tells zeros of another sign, where a kernel has other lanes; in
+# that of the others the rule of scan overflows where its value is not settled.
+FEW, SEEDS = (*range(5), 1026), (*range(5, 40), 50288)
 MORE = range(1000, 1300)
 
 

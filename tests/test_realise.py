@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import aslo_jax as aslo
+from aslo_jax._realise import Interval
 from aslo_jax.realise import Flow, Pass
 
 
@@ -137,3 +138,29 @@ def test_replaying_again_does_not_trace_again():
         assert len(traces) == first
     # Compiled once for both rates: start twice, the estimate, both ends of an interval.
     assert first <= 10
+
+
+def test_a_pass_knows_what_is_missing():
+    """Where nothing can be, everything counts and every correction is trusted; what is
+    measured stands back for what is predicted where a sample is missing or doubted."""
+    y, predicted = jnp.asarray(3.0), jnp.asarray(-2.0)
+    yes, no = jnp.asarray(True), jnp.asarray(False)
+    plain = Pass(Flow({}), aslo.LowPass(5.0))
+    assert plain.certain and not plain.missing and not plain.blind
+    assert plain.weight == plain.trust == 1.0
+    assert plain.measured(y, predicted) == y
+    assert plain.inject(y) == 15.0
+    for missing in (yes, no):
+        interval = Interval(missing, jnp.asarray(0.25), None, missing)
+        partly = Pass(Flow({}), aslo.LowPass(5.0), interval=interval)
+        assert not partly.certain and partly.missing == partly.blind == missing
+        assert partly.weight == 0.25 and partly.trust == 1.0 - missing
+        assert partly.measured(y, predicted) == jnp.where(missing, predicted, y)
+        assert partly.inject(y) == 0.25 * 15.0
+        assert partly.using(aslo.LowPass(5.0), "paper").inject(y) == 15.0
+        doubted = plain.doubting(missing)
+        assert not doubted.certain and not doubted.blind and doubted.weight == 1.0
+        assert doubted.missing == missing and doubted.inject(y) == 15.0
+        assert doubted.measured(y, predicted) == jnp.where(missing, predicted, y)
+    both = plain.doubting(yes).doubting(no)
+    assert both.missing and both.trust == 0.0

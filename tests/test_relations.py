@@ -116,6 +116,26 @@ def test_swapped_linear_rows_hold(terms, name):
     check(rows_by_filter(terms, swaps=2)[name], x3)
 
 
+def test_with_the_papers_start_rows_that_vary_begin_at_zero():
+    """Both sides of a linear equation are filtered from there, and it holds at once."""
+    observer = RowObserver(FromInput(), FILTERS["low pass"], swaps=1, start="paper")
+    check(rows_of(observer, linear_terms), x3)
+
+
+@pytest.mark.parametrize("terms", [linear_terms, affine_linear_terms])
+def test_the_drift_of_terms_is_the_derivative_of_x(terms):
+    t = jnp.asarray(0.8)
+    np.testing.assert_allclose(terms(t).drift(x3(t)), derivative(x3, t), rtol=1e-14)
+
+
+@pytest.mark.parametrize("Q", [np.asarray(0.7), np.array([[0.7, -0.2], [-0.2, 1.9]])])
+def test_a_quadratic_term_times_a_vector(Q):
+    x, zero = np.array([1.3, -0.4]), jnp.zeros(2)
+    terms = aslo.Quadratic(jnp.asarray(Q), zero, jnp.zeros(()), zero)
+    expected = (Q if Q.ndim else Q * np.eye(2)) @ x
+    np.testing.assert_allclose(terms.times(jnp.asarray(x)), expected, rtol=1e-15)
+
+
 @pytest.mark.parametrize("terms", [rate_terms, affine_rate_terms])
 @pytest.mark.parametrize("name", STRICTLY_PROPER)
 @pytest.mark.parametrize("swaps", [0, 1])

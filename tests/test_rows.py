@@ -98,7 +98,11 @@ def test_quadratic_rows_hold_in_a_frame_that_turns(swaps):
 
 @pytest.mark.parametrize(
     ("C", "d", "s", "expected"),
-    [((2, 3), 2, 3, r"`s` of a relation"), ((3, 3), 2, 1, r"`C` of a relation")],
+    [
+        ((2, 3), 2, 3, r"`s` of a relation"),
+        ((3, 3), 2, 1, r"`C` of a relation"),
+        ((1, 3), 2, 2, r"`C` of a relation"),
+    ],
 )
 def test_rows_of_another_shape_are_refused(C, d, s, expected):
     terms = aslo.Rows(jnp.ones((2, 3)), jnp.ones(2), jnp.ones(2), jnp.ones(3))
