@@ -10,6 +10,7 @@ from own_modules import spun
 
 import aslo_jax as aslo
 from aslo_jax.engines import run_batch
+from aslo_jax.export._traced import precision
 
 pytest.importorskip("llvmlite")
 
@@ -56,7 +57,7 @@ def test_no_samples_and_results_without_entries():
 
 def test_a_runner_is_as_precise_as_jax():
     """Made like doubles while JAX has none."""
-    with jax.enable_x64(False):
+    with precision(np.float32):
         chain = aslo.plants.IntegratorChain(2)
 
         def make(rate):

@@ -16,6 +16,7 @@ import aslo_jax as aslo
 from aslo_jax._interconnection import Interconnection
 from aslo_jax.control._base import controlled
 from aslo_jax.disturbances import ParasiticLag, SampledNoise
+from aslo_jax.export._traced import precision
 
 pytest.importorskip("llvmlite")
 PLANT = aslo.plants.IntegratorChain(2)
@@ -249,7 +250,7 @@ def test_single_precision():
     def single(x):
         return jax.tree.map(lambda x: x.astype(jnp.float32), x, is_leaf=eqx.is_array)
 
-    with jax.enable_x64(False):
+    with precision(np.float32):
         plant = aslo.plants.IntegratorChain(2)
         solution = aslo.simulate(
             plant, u, {"N": Nothing()}, t1=2.0, ts=TS, initial=single(X0), engine="fused"

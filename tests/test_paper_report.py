@@ -5,11 +5,11 @@ import math
 import sys
 from types import SimpleNamespace
 
-import jax
 import numpy as np
 import pytest
 
 from aslo_jax import paper
+from aslo_jax.export._traced import precision
 from aslo_jax.paper import _section3 as section3
 from aslo_jax.paper._claims import Above, Below, Claim, Near, to_csv, to_markdown, to_text
 from aslo_jax.paper._report import Table, files
@@ -126,7 +126,7 @@ def test_run_refuses_what_it_cannot_do(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match=r"Argument `out` must be a folder, but .* file"):
         paper.run(2, file)
     assert file.read_text() == "mine"
-    with jax.enable_x64(False), pytest.raises(ValueError, match="single precision"):
+    with precision(np.float32), pytest.raises(ValueError, match="single precision"):
         paper.run(2, tmp_path / "out")
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ImportError, match=r'pip install "aslo_jax\[plot\]"'):

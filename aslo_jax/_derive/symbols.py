@@ -2,6 +2,7 @@
 stay what they are."""
 
 import hashlib
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -106,7 +107,13 @@ def _pow(graph: Symbolic, dtype: Any, params: Any, x: int, y: int) -> int:
     return graph.kept("pow", dtype, params, x, graph.convert(y, graph.dtype(x)))
 
 
-Symbolic.rules = {name: _kept(name) for name in KEPT} | {"pow": _pow}
+def _log2(graph: Symbolic, dtype: Any, params: Any, x: int) -> int:
+    """A primitive since JAX 0.12; a logarithm like that of the versions before."""
+    log = graph.kept("log", dtype, params, x)
+    return graph.op("mul", log, graph.const(1 / math.log(2.0), dtype))
+
+
+Symbolic.rules = {name: _kept(name) for name in KEPT} | {"pow": _pow, "log2": _log2}
 
 
 def lowered(

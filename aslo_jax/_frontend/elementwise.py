@@ -94,6 +94,8 @@ for _name, _f in {
     "exp2": exponential.exp2,
     "expm1": exponential.expm1,
     "log": exponential.log,
+    # As XLA rounds it; JAX before 0.11 has no such primitive, and divides logarithms.
+    "log2": lambda x: exponential.log(x) * (1.0 / math.log(2.0)),
     "log1p": exponential.log1p,
     "logistic": exponential.logistic,
     "erf": error.erf,
@@ -126,6 +128,22 @@ def _reduce_precision(graph: Graph, dtype: Any, params: Any, x: int) -> int:
 @rule("square")
 def _square(graph: Graph, dtype: Any, params: Any, x: int) -> int:
     return graph.op("mul", x, x)
+
+
+@rule("one_minus_square")
+def _one_minus_square(graph: Graph, dtype: Any, params: Any, x: int) -> int:
+    """In the derivatives of JAX 0.12; rounded as XLA rounds it."""
+    one = graph.const(1, dtype)
+    return graph.op("mul", graph.op("add", one, x), graph.op("sub", one, x))
+
+
+@rule("polynomial")
+def _polynomial(graph: Graph, dtype: Any, params: Any, x: int, *coefficients: int) -> int:
+    """Of `jnp.polyval` and in `erf` of JAX 0.12; from the constant term on."""
+    *lower, value = coefficients
+    for coefficient in reversed(lower):
+        value = graph.op("add", graph.op("mul", value, x), coefficient)
+    return value
 
 
 @rule("abs")

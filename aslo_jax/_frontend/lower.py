@@ -210,9 +210,17 @@ def inner_of(params: dict[str, Any]) -> Any:
     return None
 
 
+def _of_scan(params: dict[str, Any]) -> tuple[int, int]:
+    """How many constants it has, and how many numbers are carried."""
+    if "num_consts" in params:
+        return params["num_consts"], params["num_carry"]
+    consts, carry, _ = params["ft_in"].unpack()  # since JAX 0.12
+    return len(consts), len(carry)
+
+
 def _scan(graph, equation, *arguments):
     p = equation.params
-    length, n, m = p["length"], p["num_consts"], p["num_carry"]
+    length, (n, m) = p["length"], _of_scan(p)
     if length > UNROLLED:
         raise Unsupported(f"it has {length} steps, more than the {UNROLLED} unrolled")
     consts, carry, xs = arguments[:n], list(arguments[n : n + m]), arguments[n + m :]
@@ -273,4 +281,16 @@ def _greater(graph: Graph, which: int, k: int) -> int:
     return graph.op("gt", which, graph.const(k, graph.dtype(which)))
 
 
-CONTROL = {"scan": _scan, "while": _while, "cond": _cond}
+def _expanded(graph, equation, *arguments):
+    """A function that JAX keeps as a primitive, `jnp.searchsorted` say, by what it does."""
+    does = functools.partial(equation.primitive.to_lojax, **equation.params)
+    like = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in equation.invars]
+    return _closed(graph, jax.make_jaxpr(does)(*like), list(arguments))
+
+
+CONTROL = {
+    "scan": _scan,
+    "while": _while,
+    "cond": _cond,
+    "call_hi_primitive": _expanded,
+}
