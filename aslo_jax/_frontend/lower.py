@@ -17,6 +17,7 @@ from .._ir.graph import Graph
 from .._ir.node import NUMBERS
 from .._typing import PyTree
 from .elementwise import ELEMENTWISE, Unsupported
+from .entrywise import is_entrywise, looped
 from .functions import FUNCTIONS, applies_function
 from .large import entrywise
 from .origin import described, located, with_caller
@@ -142,9 +143,9 @@ def _apply(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
         spread = np.broadcast_arrays(*arguments)
         aval = equation.outvars[0].aval
         kept = name in graph.rules
-        looped = None if kept else entrywise(graph, rule, aval.dtype, params, spread)
-        if looped is not None:
-            return [looped]
+        calls = None if kept else entrywise(graph, rule, aval.dtype, params, spread)
+        if calls is not None:
+            return [calls]
         out = np.empty(aval.shape, np.int64)
         for index in np.ndindex(aval.shape):
             out[index] = rule(graph, aval.dtype, params, *(int(a[index]) for a in spread))
@@ -167,6 +168,9 @@ def _by_rule(graph: Graph, equation: Any, inner: Any, arguments: list[Value]) ->
         return outlined(
             graph, equation, lambda given: _closed(graph, inner, given), arguments
         )
+    if inner is not None and is_entrywise(equation):
+        calls = looped(graph, lambda other, given: _closed(other, inner, given), arguments)
+        return _closed(graph, inner, arguments) if calls is None else calls
     if inner is not None:
         return _closed(graph, inner, arguments)
     raise Unsupported("it has no rule")

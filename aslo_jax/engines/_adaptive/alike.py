@@ -1,6 +1,7 @@
 """A system traced once, as a vector of states: those that are always equal are integrated
 once, the two halves of a symmetric matrix, or filters that observers have in common."""
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -19,13 +20,15 @@ from .._fused.program import flat, numbered
 class States(NamedTuple):
     """`like`, the shapes of the tree of states; `first`, shape `(m,)`, where each of those
     that differ is among all, and `of`, shape `(n,)`, which of these each state is; `init`
-    and `field`, the first state and its derivative, traced before."""
+    and `field`, the first state and its derivative, traced before; `functions`, one for
+    each name that the derivative has been given."""
 
     like: PyTree
     first: np.ndarray
     of: np.ndarray
     init: Callable[[PyTree], PyTree]
     field: Callable[[PyTree, Any, PyTree], PyTree]
+    functions: dict[str, Callable[..., Any]]
 
     def start(self, given: PyTree) -> Any:
         """The first state, shape `(m,)`."""
@@ -38,12 +41,19 @@ class States(NamedTuple):
     def field_at(self, given: PyTree, times: int) -> Callable[[Any, Any], Any]:
         """[`rate`][] as a function of t and x, a function in machine code too where it is
         evaluated so many `times`."""
+        return functools.partial(self.named(times), given)
 
-        def rate(t, x):
-            return self.rate(given, t, x)
+    def named(self, times: int) -> Callable[[PyTree, Any, Any], Any]:
+        """One function for all that call it, of which JAX keeps the trace."""
+        name = name_of(times)
+        if name not in self.functions:
 
-        rate.__name__ = name_of(times)
-        return jax.jit(rate)
+            def rate(given, t, x):
+                return self.rate(given, t, x)
+
+            rate.__name__ = name
+            self.functions[name] = jax.jit(rate)
+        return self.functions[name]
 
     def tree(self, x: Any) -> PyTree:
         """Of a vector of shape `(m,)`."""
@@ -107,4 +117,4 @@ def _found(init: Callable, rate: Callable, given: PyTree) -> States:
     kept = sorted(set(first))
     place = {k: i for i, k in enumerate(kept)}
     of = np.array([place[k] for k in first], int)
-    return States(start, np.array(kept, int), of, init, rate)
+    return States(start, np.array(kept, int), of, init, rate, {})
