@@ -261,13 +261,16 @@ class Groups:
         take more registers than there are."""
         number = group.members[0]
         result, count = self.results[number], len(group.members)
-        assert isinstance(result.base, int), "results are in the frame"
+        base = result.base
+        assert isinstance(base, int), "results are in the frame"
         uniform = [len(each) < count for each in given]
         many = self.layout.step.parts(number) if result.wide and not any(uniform) else 1
         out = self._writer(self.layout.step.width // many)
         tables = [a for a in arrays if isinstance(a.base, str)]
-        names = {a: f"%a{k}" for k, a in enumerate(tables)}
-        offsets = [names.get(a) or a.base - result.base for a in arrays]
+        offsets = [
+            f"%a{tables.index(a)}" if isinstance(a.base, str) else a.base - base
+            for a in arrays
+        ]
         function, step = self.graph.nodes[number].data, result.stride // many
         entrywise(out, function, count * many, offsets, uniform, step, result.wide)
         self._call(out, [self.place(a) for a in tables], self.place(result))
