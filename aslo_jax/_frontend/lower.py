@@ -101,7 +101,7 @@ def _jaxpr(graph: Graph, jaxpr: Any, consts: list[Value], inputs: list[Value]) -
 
     values.update(zip(jaxpr.constvars, consts, strict=True))
     values.update(zip(jaxpr.invars, inputs, strict=True))
-    for equation in jaxpr.eqns:
+    for equation in _needed(jaxpr):
         arguments = [read(atom) for atom in equation.invars]
         graph.sources.append(equation)
         try:
@@ -114,6 +114,17 @@ def _jaxpr(graph: Graph, jaxpr: Any, consts: list[Value], inputs: list[Value]) -
             graph.sources.pop()
         values.update(zip(equation.outvars, map(np.asarray, found), strict=True))
     return [read(atom) for atom in jaxpr.outvars]
+
+
+def _needed(jaxpr: Any) -> list[Any]:
+    """The equations that the results need, or that do more than to give some (dead code
+    elimination)."""
+    needed, found = {v for v in jaxpr.outvars if isinstance(v, jex.Var)}, []
+    for equation in reversed(jaxpr.eqns):
+        if equation.effects or not needed.isdisjoint(equation.outvars):
+            needed.update(v for v in equation.invars if isinstance(v, jex.Var))
+            found.append(equation)
+    return found[::-1]
 
 
 def _guarded(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
