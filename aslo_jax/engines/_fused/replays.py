@@ -13,6 +13,10 @@ from .._runtime.host import widths
 from .kept import shape_of
 from .program import Bodies, Program
 
+# Passes that take longer than what they save in one reading of some thousand rows: 2 s of
+# the 8 s to compile nine observers of three velocities.
+WITHOUT = ("commoning", "correlation", "factors", "timetable", "unswitching")
+
 
 class Replays:
     """Replays of logs, traced for the first ones and compiled once; each begins by itself.
@@ -41,7 +45,8 @@ class Replays:
             shapes = lambda tree, drop: jax.tree.map(lambda x: shape_of(x, drop), tree)
             inputs = {"lane": shapes(lane, 1), "lane log": shapes(log, 2)}
             # Of many observers beside each other a step is long whatever the width.
-            self._program = Program.of(self._bodies(), inputs, widths()[:1])
+            bodies, narrow = self._bodies(), widths()[:1]
+            self._program = Program.of(bodies, inputs, narrow, without=WITHOUT)
         lanes, steps = log["y"].shape[:2]
         found, _ = self._program({"lane": lane, "lane log": log}, lanes, steps)
         return found

@@ -226,9 +226,9 @@ def reversal(printed: s.Printed) -> Reversal:
     *first, error, certificate, coasting = found
     return Reversal(
         *(x[:, 0] for x in first),
-        {name: x.max(axis=1) for name, x in error.items()},
-        {name: x.min(axis=1) for name, x in certificate.items()},
-        {name: x.any(axis=1) for name, x in coasting.items()},
+        {name: error[name].max(axis=1) for name in REVERSAL},
+        {name: certificate[name].min(axis=1) for name in REVERSAL},
+        {name: coasting[name].any(axis=1) for name in REVERSAL},
     )
 
 
@@ -257,7 +257,12 @@ def fo1_growth(printed: s.Printed) -> np.ndarray:
 
 def current_needed(torque: float, torque_factor: float) -> float:
     """The current on the torque axis (A) that gives `torque` (N m)."""
-    plant = PMSM.bmp0701f(torque_factor=torque_factor)
-    x = plant.initial()
-    flux = x.flux + plant.inductance * jnp.array([0.0, 1.0])
-    return torque / float(plant.torque(MachineState(flux, x.speed, x.angle)))
+
+    @jax.jit
+    def each(factor):
+        plant = PMSM.bmp0701f(torque_factor=factor)
+        x = plant.initial()
+        flux = x.flux + plant.inductance * jnp.array([0.0, 1.0])
+        return plant.torque(MachineState(flux, x.speed, x.angle))
+
+    return torque / float(each(torque_factor))
