@@ -16,16 +16,18 @@ from aslo_jax.engines._adaptive.system import System
 
 TS = np.linspace(0.0, 2.0, 23)
 LONG = 12  # entries of the state, a loop's worth
+MANY = 20  # inputs, which a loop copies
 
 
 def decaying(rates, still):
-    """`x' = -rates x + 1` but for `still` entries, which grow by one a second whatever they
-    are: what does not depend on the state is fixed over time, and its slope a constant."""
+    """`x' = -rates x + 1` but for `still` entries, whose slopes are fixed over time: of a
+    few 1, a constant, and of many their own rates."""
     moving = len(rates) - still
 
     def rate(rates, t, x):
         del t
-        return jnp.concatenate([1.0 - rates[:moving] * x[:moving], jnp.ones(still)])
+        slopes = jnp.ones(still) if still < MANY else rates[moving:]
+        return jnp.concatenate([1.0 - rates[:moving] * x[:moving], slopes])
 
     return System(lambda rates: jnp.zeros_like(rates), rate, lambda rates, t, x: x)
 
@@ -36,13 +38,15 @@ def solved(rates, still, ts=TS):
     rows, _ = Simulation(system, plan, object(), jax.tree.structure(0), [1])([rates])
     moving = len(rates) - still
     grown = -np.expm1(-rates[:moving] * ts[:, None]) / rates[:moving]
-    return rows, np.hstack([grown, np.tile(ts[:, None], still)])
+    slopes = np.ones(still) if still < MANY else rates[moving:]
+    return rows, np.hstack([grown, ts[:, None] * slopes])
 
 
-@pytest.mark.parametrize("still", [0, 1, 3])
-@pytest.mark.parametrize("length", [3, LONG])
+@pytest.mark.parametrize(
+    ("length", "still"), [(3, 0), (3, 1), (LONG, 0), (LONG, 1), (LONG, 3), (31, MANY)]
+)
 def test_rows_between_steps_are_those_of_the_solution(length, still):
-    rates = np.linspace(0.3, 4.0, max(length, still + 1))
+    rates = np.linspace(0.3, 4.0, length)
     found, wanted = solved(rates, still)
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9)
 

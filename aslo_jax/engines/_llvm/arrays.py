@@ -62,8 +62,10 @@ class Groups:
             if nodes[number].op not in LOOPED:
                 found.update(nodes[number].args)
         for group in groups:
+            # Rows of an adaptive loop may have them in groups of other members.
+            apart = loop.adaptive is not None and nodes[group.members[0]].op != "dot"
             for array in self.arrays(group):
-                if self._kind(array) not in ("lane", "shared"):
+                if apart or self._kind(array) not in ("lane", "shared"):
                     found.update(array)
         return found
 

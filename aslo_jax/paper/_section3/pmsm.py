@@ -223,9 +223,11 @@ def reversal(printed: s.Printed) -> Reversal:
 
     record = sampled(loop, np.array([3]), steps, kept)
     found = jax.tree.map(lambda x: x[0, :-1].reshape(-1, block), record)
-    *first, error, certificate, coasting = found
+    t, speed, delta, error, certificate, coasting = found
     return Reversal(
-        *(x[:, 0] for x in first),
+        t[:, 0],
+        speed[:, 0],
+        delta[:, 0],
         {name: error[name].max(axis=1) for name in REVERSAL},
         {name: certificate[name].min(axis=1) for name in REVERSAL},
         {name: coasting[name].any(axis=1) for name in REVERSAL},
