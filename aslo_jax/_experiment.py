@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ._checks import counted, divides, function, kind, positive, real, told_apart
+from ._interconnection import alike
 from ._module import Module
 from ._runge_kutta import runge_kutta
 from ._typing import PyTree
@@ -114,7 +115,7 @@ class Experiment(Module, Generic[Est]):
         command, state = self._control(t, state, fed)
         input_sensor = _at_samples("input_sensor", self.input_sensor, t, command, output)
         seen, input_sensor = _through(self.input_sensor, t, input_sensor, command, output)
-        known = self.feedback is not None and _alike(u, seen)
+        known = self.feedback is not None and alike(u, seen)
         observers, estimates = blind if known else self._first(t, y, seen)
         actuator = self.actuator
         actuator = None if actuator is None else actuator.init(t, command, output)
@@ -204,12 +205,6 @@ class Experiment(Module, Generic[Est]):
         # Its sample is that of t, from where on the command is held.
         sampled = part.update(t, before, command, self.plant.output(carry.x))
         return x, DisturbanceState(continuous, sampled)
-
-
-def _alike(u: PyTree, other: PyTree) -> bool:
-    """Whether two inputs differ in their values only."""
-    types = lambda tree: jax.tree.map(lambda x: (jnp.shape(x), jnp.result_type(x)), tree)
-    return types(u) == types(other)
 
 
 def _at_samples(

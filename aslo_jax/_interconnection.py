@@ -96,25 +96,30 @@ class Interconnection(Module):
     feedback: Callable[[PyTree, PyTree, dict[str, Any]], PyTree] | None
     span: Span | None
 
-    def fed(self, t, x, y, observers):
-        if self.feedback is None:
-            return y
-        # No estimate depends on u at the instant, so any of its shape will do.
-        u = self.plant.no_input(y)
-        estimates = {
+    def estimates(self, t, observers, u, y):
+        return {
             name: observer.estimate(t, ObserverState(observers[name], y), u, y)
             for name, observer in self.observers.items()
         }
-        return self.feedback(y, x, estimates)
+
+    def fed(self, t, x, y, observers):
+        """What the controller is fed, and the estimates that this takes, if any."""
+        if self.feedback is None:
+            return y, None
+        # No estimate depends on u at the instant, so any of its shape will do.
+        estimates = self.estimates(t, observers, self.plant.no_input(y), y)
+        return self.feedback(y, x, estimates), estimates
 
     def signals(self, t, state):
         measured = self.plant.output(state["plant"])
         y = _through(self.sensor, t, state["sensor"], measured, measured)
-        fed = self.fed(t, state["plant"], y, state["observers"])
+        fed, estimates = self.fed(t, state["plant"], y, state["observers"])
         command = self.controller(t, state["controller"], fed)
         applied = _through(self.actuator, t, state["actuator"], command, measured)
         seen = _through(self.input_sensor, t, state["input_sensor"], command, measured)
-        return measured, y, fed, command, applied, seen
+        if estimates is not None and not alike(self.plant.no_input(y), seen):
+            estimates = None
+        return measured, y, fed, command, applied, seen, estimates
 
     def init(self, t0, x):
         measured = self.plant.output(x)
@@ -122,16 +127,19 @@ class Interconnection(Module):
         y = _through(self.sensor, t0, sensor, measured, measured)
         blind = {} if self.feedback is None else self.observers
         u = self.plant.no_input(y)
-        fed = self.fed(t0, x, y, {k: o.init(y, u).states for k, o in blind.items()})
+        states = {k: o.init(y, u).states for k, o in blind.items()}
+        fed, _ = self.fed(t0, x, y, states)
         controller = self.controller.init(fed)
         command = jax.tree.map(jnp.asarray, self.controller(t0, controller, fed))
         actuator = _init("actuator", self.actuator, t0, command, measured)
         input_sensor = _init("input_sensor", self.input_sensor, t0, command, measured)
         seen = _through(self.input_sensor, t0, input_sensor, command, measured)
+        if self.feedback is None or not alike(u, seen):
+            states = {k: o.init(y, seen).states for k, o in self.observers.items()}
         return {
             "plant": x,
             "controller": controller,
-            "observers": {k: o.init(y, seen).states for k, o in self.observers.items()},
+            "observers": states,
             "actuator": actuator,
             "sensor": sensor,
             "input_sensor": input_sensor,
@@ -141,7 +149,7 @@ class Interconnection(Module):
         del args
         if self.span is not None:
             t = self.span.inside(t)
-        measured, y, fed, command, applied, seen = self.signals(t, state)
+        measured, y, fed, command, applied, seen, _ = self.signals(t, state)
         observers = {
             name: observer.vector_field(
                 t, ObserverState(state["observers"][name], y), seen, y
@@ -161,15 +169,19 @@ class Interconnection(Module):
 
     def record(self, t, state, args) -> Simulation[Any]:
         del args
-        _, y, _, _, _, seen = self.signals(t, state)
-        estimates = {
-            name: observer.estimate(t, ObserverState(state["observers"][name], y), seen, y)
-            for name, observer in self.observers.items()
-        }
+        _, y, _, _, _, seen, estimates = self.signals(t, state)
+        if estimates is None:
+            estimates = self.estimates(t, state["observers"], seen, y)
         x = state["plant"]
         return Simulation(
             t, seen, y, x, self.plant.hidden(x), estimates, state["observers"]
         )
+
+
+def alike(u: PyTree, other: PyTree) -> bool:
+    """Whether two inputs differ in their values only."""
+    types = lambda tree: jax.tree.map(lambda x: (jnp.shape(x), jnp.result_type(x)), tree)
+    return types(u) == types(other)
 
 
 def _through(part, t, state, signal, output):

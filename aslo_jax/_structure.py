@@ -143,11 +143,10 @@ def _look(system, region) -> tuple[np.ndarray, ...]:
         )
     unit = qmc.Sobol(n, scramble=False).random(POINTS) + 0.5 / POINTS
     q = (low + unit * (high - low)).astype(position.dtype)
-    functions = system.inertia, system.friction
-    found = []
-    for function in functions:
-        found.append(jax.vmap(function)(jnp.asarray(q)))
-        found.append(jax.vmap(jax.jacfwd(function))(jnp.asarray(q)))
+    values = system.inertia, system.friction
+    functions = [g for f in values for g in (f, jax.jacfwd(f))]
+    # One program in place of one for each operation.
+    found = jax.jit(lambda q: [jax.vmap(f)(q) for f in functions])(jnp.asarray(q))
     return q, *map(np.asarray, found)
 
 

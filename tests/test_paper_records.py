@@ -3,7 +3,6 @@
 import math
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -52,18 +51,24 @@ def test_the_search_finds_the_best_gain_of_every_coordinate():
     """On errors that are least at known gains, the second one coupled to the first."""
     best = np.array([3.0, 80.0])
 
+    boxes = {"one": (0.3, 1e3), "other": (0.1, 300.0)}
+
     def run(gains, systems, u, y, velocity):
-        off = np.log(np.asarray(gains) / best)
-        coupled = off + np.array([[0.0, 0.3]]) * off[:, :1]
-        size = 0.1 + np.abs(coupled)
-        return np.broadcast_to(size[:, None], (len(gains), s.STEPS + 1, 2))
+        def of(gains, best):
+            off = np.log(gains / best)
+            coupled = off + np.array([[0.0, 0.3]]) * off[:, :1]
+            size = 0.1 + np.abs(coupled)
+            return np.broadcast_to(size[:, None], (len(gains), s.STEPS + 1, 2))
+
+        return {"one": of(gains["one"], best), "other": of(gains["other"], best[::-1])}
 
     shape = (records.TRAINING, s.STEPS + 1, 2)
-    training = (jnp.zeros((*shape[:2], 1)), jnp.zeros(shape), jnp.zeros(shape))
-    found = tuning.search(run, (0.3, 1e3), s.ball().system, training)
+    training = (np.zeros((*shape[:2], 1)), np.zeros(shape), np.zeros(shape))
+    found = tuning.search(run, boxes, s.ball().system, training)
     # To within the distance of the last trials.
     spacing = np.log(1e3 / 0.3) * 0.5 ** (tuning.ROUNDS - 1) / tuning.TRIALS
-    assert (np.abs(np.log(found / best)) < spacing).all() and spacing < 0.15
+    assert (np.abs(np.log(found["one"] / best)) < spacing).all() and spacing < 0.15
+    assert (np.abs(np.log(found["other"] / best[::-1])) < spacing).all()
 
 
 def test_lanes_are_one_trial_on_every_record():
@@ -71,13 +76,16 @@ def test_lanes_are_one_trial_on_every_record():
     seen = []
 
     def run(gains, systems, u, y, velocity):
-        seen.append(np.stack([np.asarray(gains)[:, 0], np.asarray(y)[:, 0, 0]], axis=1))
-        return np.asarray(gains)[:, None] * np.ones((1, s.STEPS + 1, 1))
+        seen.append(np.stack([gains["one"][:, 0], y[:, 0, 0]], axis=1))
+        sizes = np.ones((1, s.STEPS + 1, 1))
+        return {name: each[:, None] * sizes for name, each in gains.items()}
 
-    y = jnp.arange(3.0)[:, None, None] * jnp.ones((1, s.STEPS + 1, 2))
-    gains = np.array([[1.0, 2.0], [3.0, 4.0]])
+    y = np.arange(3.0)[:, None, None] * np.ones((1, s.STEPS + 1, 2))
+    gains = {"one": np.array([[1.0, 2.0], [3.0, 4.0]])}
+    gains["other"] = 5.0 * gains["one"]
     rms = tuning.evaluate(run, gains, s.ball().system, (y, y, y))
-    np.testing.assert_allclose(rms, gains)
+    for name, each in gains.items():
+        np.testing.assert_allclose(rms[name], each)
     assert {tuple(row) for row in seen[0]} == {(g, r) for g in (1, 3) for r in (0, 1, 2)}
 
 

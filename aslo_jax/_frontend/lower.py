@@ -17,6 +17,7 @@ from .._ir.graph import Graph
 from .._ir.node import NUMBERS
 from .._typing import PyTree
 from .elementwise import ELEMENTWISE, Unsupported
+from .entrywise import is_entrywise, looped
 from .functions import FUNCTIONS, applies_function
 from .large import entrywise
 from .origin import described, located, with_caller
@@ -100,7 +101,7 @@ def _jaxpr(graph: Graph, jaxpr: Any, consts: list[Value], inputs: list[Value]) -
 
     values.update(zip(jaxpr.constvars, consts, strict=True))
     values.update(zip(jaxpr.invars, inputs, strict=True))
-    for equation in jaxpr.eqns:
+    for equation in _needed(jaxpr):
         arguments = [read(atom) for atom in equation.invars]
         graph.sources.append(equation)
         try:
@@ -113,6 +114,17 @@ def _jaxpr(graph: Graph, jaxpr: Any, consts: list[Value], inputs: list[Value]) -
             graph.sources.pop()
         values.update(zip(equation.outvars, map(np.asarray, found), strict=True))
     return [read(atom) for atom in jaxpr.outvars]
+
+
+def _needed(jaxpr: Any) -> list[Any]:
+    """The equations that the results need, or that do more than to give some (dead code
+    elimination)."""
+    needed, found = {v for v in jaxpr.outvars if isinstance(v, jex.Var)}, []
+    for equation in reversed(jaxpr.eqns):
+        if equation.effects or not needed.isdisjoint(equation.outvars):
+            needed.update(v for v in equation.invars if isinstance(v, jex.Var))
+            found.append(equation)
+    return found[::-1]
 
 
 def _guarded(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
@@ -142,9 +154,9 @@ def _apply(graph: Graph, equation: Any, arguments: list[Value]) -> list[Value]:
         spread = np.broadcast_arrays(*arguments)
         aval = equation.outvars[0].aval
         kept = name in graph.rules
-        looped = None if kept else entrywise(graph, rule, aval.dtype, params, spread)
-        if looped is not None:
-            return [looped]
+        calls = None if kept else entrywise(graph, rule, aval.dtype, params, spread)
+        if calls is not None:
+            return [calls]
         out = np.empty(aval.shape, np.int64)
         for index in np.ndindex(aval.shape):
             out[index] = rule(graph, aval.dtype, params, *(int(a[index]) for a in spread))
@@ -167,6 +179,9 @@ def _by_rule(graph: Graph, equation: Any, inner: Any, arguments: list[Value]) ->
         return outlined(
             graph, equation, lambda given: _closed(graph, inner, given), arguments
         )
+    if inner is not None and is_entrywise(equation):
+        calls = looped(graph, lambda other, given: _closed(other, inner, given), arguments)
+        return _closed(graph, inner, arguments) if calls is None else calls
     if inner is not None:
         return _closed(graph, inner, arguments)
     raise Unsupported("it has no rule")

@@ -43,6 +43,9 @@ class Figure:
         with styled():
             canvas = Canvas(*self.size, dpi=DPI, layout=self.layout)
             self.draw(canvas)
+            if self.layout is not None:  # once for all kinds
+                canvas.draw_without_rendering()
+                canvas.set_layout_engine(None)
             return {kind: canvas.bytes(kind) for kind in kinds}
 
     def png(self) -> bytes:

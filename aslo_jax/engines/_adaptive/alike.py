@@ -1,6 +1,7 @@
 """A system traced once, as a vector of states: those that are always equal are integrated
 once, the two halves of a symmetric matrix, or filters that observers have in common."""
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -22,8 +23,9 @@ from .switches import switched, switches
 class States(NamedTuple):
     """`like`, the shapes of the tree of states; `first`, shape `(m,)`, where each of those
     that differ is among all, and `of`, shape `(n,)`, which of these each state is; `init`,
-    the first state, and `field`, its derivative, traced before. Of the switching functions
-    that it declares, `switches`, shape `(k,)`, is which of those that differ each is."""
+    the first state, and `field`, its derivative, traced before; `functions`, one for each
+    name that the derivative has been given. Of the switching functions that it declares,
+    `switches`, shape `(k,)`, is which of those that differ each is."""
 
     like: PyTree
     first: np.ndarray
@@ -31,6 +33,7 @@ class States(NamedTuple):
     init: Callable[[PyTree], PyTree]
     field: Any
     switches: np.ndarray
+    functions: dict[str, Callable[..., Any]]
 
     def start(self, given: PyTree) -> Any:
         """The first state, shape `(m,)`."""
@@ -39,29 +42,36 @@ class States(NamedTuple):
     def field_at(self, given: PyTree, times: int) -> Field:
         """The derivative at a state, both of shape `(m,)`, a function in machine code too
         where it is evaluated so many `times`."""
-        leaves = jax.tree.leaves(given)
-        n, of = len(self.first), self.switches
-        different, first = np.unique(of, return_index=True)
-        m = len(different)
-
-        def rate(t, z):
-            x, sides = z[:n], z[n:]
-            moving = [*leaves, t, *jax.tree.leaves(self.tree(x))]
-            if not m:
-                return self._packed(jex.jaxpr_as_fun(self.field)(*moving))
-            rates, values = switched(self.field, moving, sides[of])
-            return jnp.concatenate([self._packed(rates), values[first]])
-
-        rate.__name__ = name_of(times)
-        compiled = jax.jit(rate)
+        rate = functools.partial(self.named(times), jax.tree.leaves(given))
+        n, count = len(self.first), len(set(self.switches.tolist()))
+        if not count:
+            return Field(lambda t, x, sides: (rate(t, x), None))
 
         def field(t, x, sides):
-            if not m:
-                return compiled(t, x), None
-            found = compiled(t, jnp.concatenate([x, sides]))
+            found = rate(t, jnp.concatenate([x, sides]))
             return found[:n], found[n:]
 
-        return Field(field, m)
+        return Field(field, count)
+
+    def named(self, times: int) -> Callable[[list[Any], Any, Any], Any]:
+        """One function for all that call it, of which JAX keeps the trace: of the leaves of
+        what is given, of t, and of the state with the sides of switching functions behind
+        it; the derivative, and behind it the values of these."""
+        name = name_of(times)
+        if name not in self.functions:
+            n, of = len(self.first), self.switches
+            first = np.unique(of, return_index=True)[1]
+
+            def rate(leaves, t, z):
+                moving = [*leaves, t, *jax.tree.leaves(self.tree(z[:n]))]
+                if not len(of):
+                    return self._packed(jex.jaxpr_as_fun(self.field)(*moving))
+                rates, values = switched(self.field, moving, z[n:][of])
+                return jnp.concatenate([self._packed(rates), values[first]])
+
+            rate.__name__ = name
+            self.functions[name] = jax.jit(rate)
+        return self.functions[name]
 
     def tree(self, x: Any) -> PyTree:
         """Of a vector of shape `(m,)`."""
@@ -127,7 +137,7 @@ def _found(init: Callable, rate: Callable, given: PyTree) -> States:
     kept = sorted(set(first))
     place = {k: i for i, k in enumerate(kept)}
     of = np.array([place[k] for k in first], int)
-    return States(start, np.array(kept, int), of, init, moving, alike)
+    return States(start, np.array(kept, int), of, init, moving, alike, {})
 
 
 def _switches(graph: Graph, moving: Any, inputs: list[Any]) -> np.ndarray:

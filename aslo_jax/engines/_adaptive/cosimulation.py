@@ -1,5 +1,6 @@
 """Plant, controller, observers and disturbances in continuous time by the fused engine."""
 
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -7,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..._checks import is_concrete
 from ..._frontend.lower import NotFusible
 from ..._interconnection import Interconnection, Simulation
 from ..._typing import PyTree
@@ -55,11 +57,23 @@ def cosimulated(
             raise refused from error
         notice(f'Running with engine="diffrax". {refused}')
         return None
-    reached = jnp.isfinite(found.t)
-    code = jnp.where(outcome.code == DIVERGED, 2, jnp.where(outcome.code == ENDED, 0, 1))
+    if is_concrete(found.t, outcome.code):  # without XLA
+        result = _results(np, np.asarray(found.t), np.asarray(outcome.code))
+    else:
+        result = _traced_results(found.t, outcome.code)
     return eqx.tree_at(
         lambda s: (s.t, s.result),
         found,
-        (jnp.asarray(plan.ts), jnp.where(reached, 0, code[..., None])),
+        (jnp.asarray(plan.ts), jnp.asarray(result)),
         is_leaf=lambda x: x is None,
     )
+
+
+def _results(xp: Any, t: Any, code: Any) -> Any:
+    """The code of `Simulation.result` for each row, by NumPy or JAX: zero where the instant
+    t has been reached."""
+    code = xp.where(code == DIVERGED, 2, xp.where(code == ENDED, 0, 1))
+    return xp.where(xp.isfinite(t), 0, code[..., None])
+
+
+_traced_results = jax.jit(functools.partial(_results, jnp))

@@ -66,6 +66,7 @@ def bodies(system: System, plan: Plan) -> Bodies:
     march = March(stepper, plan.jumps, *ends)
 
     states = traced(system.init, system.rate)
+    row = jax.jit(system.record)  # of which JAX keeps the trace
 
     def of(arrays: PyTree, times: int = ALWAYS) -> tuple[States, Field]:
         alike = states(arrays)
@@ -73,23 +74,23 @@ def bodies(system: System, plan: Plan) -> Bodies:
 
     def begin(inputs):
         alike, rate = of(inputs["lane"])
-        row = jnp.asarray(0, jnp.int64 if _wide() else jnp.int32)
+        first = jnp.asarray(0, jnp.int64 if _wide() else jnp.int32)
         return (
             march.begin(rate, alike.start(inputs["lane"])),
-            row if len(ts) else None,
+            first if len(ts) else None,
             None,
         )
 
     def advance(carry, inputs, _):
         return march.step(of(inputs["lane"], pair.main)[1], carry)
 
-    def save(row, dense, inputs, _):
+    def save(number, dense, inputs, _):
         alike, rate = of(inputs["lane"])
         dense = stepper.prepared(rate, Dense(*dense))
-        t = jnp.asarray(ts)[jnp.minimum(row, len(ts) - 1)]
-        due = dense.accepted & (row < len(ts)) & (t <= dense.end)
-        columns = system.record(inputs["lane"], t, alike.tree(stepper.at(dense, t)))
-        return due, jnp.asarray(True), row, row + 1, columns
+        t = jnp.asarray(ts)[jnp.minimum(number, len(ts) - 1)]
+        due = dense.accepted & (number < len(ts)) & (t <= dense.end)
+        columns = row(inputs["lane"], t, alike.tree(stepper.at(dense, t)))
+        return due, jnp.asarray(True), number, number + 1, columns
 
     def finish(carry, _, inputs):
         lane = carry.lane
@@ -98,9 +99,7 @@ def bodies(system: System, plan: Plan) -> Bodies:
         outcome = Outcome(lane.code, lane.accepted, lane.rejected, stiff)
         if len(ts) == len(plan.ts):
             return outcome, None
-        return outcome, system.record(
-            inputs["lane"], jnp.asarray(march.t1), alike.tree(lane.x)
-        )
+        return outcome, row(inputs["lane"], jnp.asarray(march.t1), alike.tree(lane.x))
 
     return Bodies(begin, advance, finish, save if len(ts) else None)
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from ..._frontend.entrywise import entrywise
 from .locating import Kinks, begun, following, judged
 from .pairs import Pair
 
@@ -137,7 +138,7 @@ class Stepper(NamedTuple):
 
         nodes = pair.nodes[len(known) : pair.main].tolist()
         k = slopes(pair, rate, t, x, h, range(len(known), pair.main), known)
-        end = x + h * weighted(pair.weights, k)
+        end = stepped(x, h, pair.weights, k)
         peak = _larger(jnp.abs(end), lane.peak)
         # How long a step may be need not be known to more than some digits.
         scale = self._scale(peak).astype(jnp.float32)
@@ -211,10 +212,14 @@ class Stepper(NamedTuple):
         v = jnp.where(f >= 0.0, scale, -scale)
         rate = jnp.zeros_like(lane.t)
         for _ in range(ITERATIONS):
-            moved = field.at(t1, lane.x + v) - f
-            size = _norm(moved / scale)
-            rate = size / _norm(v / scale)
-            v = moved / jnp.where(size > 0.0, size, 1.0)
+            near = entrywise(lambda x, v: x + v)(lane.x, v)
+            far = field.at(t1, near)
+            square = lambda far, f, scale: ((far - f) / scale) ** 2
+            size = jnp.sqrt(jnp.mean(entrywise(square)(far, f, scale)))
+            square = lambda v, scale: (v / scale) ** 2
+            rate = size / jnp.sqrt(jnp.mean(entrywise(square)(v, scale)))
+            over = jnp.where(size > 0.0, size, 1.0)
+            v = entrywise(lambda far, f, over: (far - f) / over)(far, f, over)
         many = lane.accepted >= WORTH
         return (lane.code == ENDED) & many & (lane.h * rate > BOUNDED * self.pair.stable)
 
@@ -229,14 +234,22 @@ class Stepper(NamedTuple):
     def at(self, dense: Dense, t: Any) -> Any:
         """The state at an instant of a step that is prepared."""
         part = (t - dense.t) / dense.h
-        total = 0.0
+        weights, used = [], []
         for row, k in zip(self.pair.dense, dense.k, strict=True):
             if row.any():
                 weight = 0.0
                 for c in row[::-1]:
                     weight = (weight + float(c)) * part
+                weights.append(weight)
+                used.append(k)
+
+        def interpolated(x, h, *given):
+            total = 0.0
+            for weight, k in zip(given[: len(used)], given[len(used) :], strict=True):
                 total = total + weight * k
-        return dense.x + dense.h * total
+            return x + h * total
+
+        return entrywise(interpolated)(dense.x, dense.h, *weights, *used)
 
     def _scale(self, peak: Any) -> Any:
         return self.absolute + self.relative * peak
@@ -254,19 +267,44 @@ def slopes(
     """Those that are `known`, and then those of further `stages`."""
     k = list(known)
     for i in stages:
-        x_i = x  # what each slope adds is small: rounding it in turn does no harm
-        for a, each in zip(pair.stages[i], k, strict=False):
-            x_i = x_i + (h * float(a)) * each if a else x_i
-        k.append(rate(t + float(pair.nodes[i]) * h, x_i))
+        k.append(rate(t + float(pair.nodes[i]) * h, moved(x, h, pair.stages[i], k)))
     return k
+
+
+def moved(x: Any, h: Any, weights: Any, k: list[Any]) -> Any:
+    """x after a step of h with weighted slopes."""
+    weights, k = used(weights, k)
+
+    def moved(x, h, *k):  # what each adds is small: rounding it in turn does no harm
+        for w, each in zip(weights, k, strict=True):
+            x = x + (h * w) * each
+        return x
+
+    return entrywise(moved)(x, h, *k)
+
+
+def stepped(x: Any, h: Any, weights: Any, k: list[Any]) -> Any:
+    """x after a step of h with the weighted slopes, these added up first."""
+    weights, k = used(weights, k)
+    return entrywise(lambda x, h, *k: x + h * added(weights, k))(x, h, *k)
 
 
 def weighted(weights: Any, k: list[Any]) -> Any:
     """The sum of weighted slopes."""
+    weights, k = used(weights, k)
+    return entrywise(lambda *k: added(weights, k))(*k)
+
+
+def used(weights: Any, k: list[Any]) -> tuple[list[float], list[Any]]:
+    """The weights that are not zero, and their slopes."""
     pairs = [(float(w), each) for w, each in zip(weights, k, strict=False) if w]
-    (w, first), *rest = pairs
-    total = w * first
-    for w, each in rest:
+    return [w for w, _ in pairs], [each for _, each in pairs]
+
+
+def added(weights: list[float], k: Sequence[Any]) -> Any:
+    """Products, one after the other."""
+    total = weights[0] * k[0]
+    for w, each in zip(weights[1:], k[1:], strict=True):
         total = total + w * each
     return total
 

@@ -1,7 +1,7 @@
 """The groups of a kernel: which arrays of the frame their loops read and write, when these
 are filled, and the calls."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -33,6 +33,7 @@ class Groups:
         self.block = ""  # the last one that a filling has begun
         self.results: dict[int, Array] = {}
         self.slots = {slot: k for k, slot in enumerate(layout.loop.slots)}
+        self.there: set[tuple[Array, int]] = set()  # entries that this pass has put
         self._arrays: dict[tuple[Entries, bool], Array] = {}
         self._filled: set[tuple[Entries, bool]] = set()
         self._functions: dict[tuple[str, ...], str] = {}
@@ -41,6 +42,11 @@ class Groups:
         self.moving = [*body.groups]
         for numbers in (body.scalars, body.record, finish):
             self.moving += self._groups(numbers)
+        self._hosts: dict[int, list[tuple[Group, Entries, int]]] = {}
+        for group in self.moving:
+            for each in self.arrays(group):
+                for k, number in enumerate(each):
+                    self._hosts.setdefault(number, []).append((group, each, k))
         self.single = self._single(
             [*self.moving, *self._groups(n for n, v in self.varies.items() if not v[0])]
         )
@@ -56,8 +62,10 @@ class Groups:
             if nodes[number].op not in LOOPED:
                 found.update(nodes[number].args)
         for group in groups:
-            for array in group.arrays(self.graph):
-                if self._kind(array) not in ("lane", "shared"):
+            # Rows of an adaptive loop may have them in groups of other members.
+            apart = loop.adaptive is not None and nodes[group.members[0]].op != "dot"
+            for array in self.arrays(group):
+                if apart or self._kind(array) not in ("lane", "shared"):
                     found.update(array)
         return found
 
@@ -75,6 +83,14 @@ class Groups:
         if self.graph.nodes[group.members[0]].op in ("call", "part"):
             return self.varies[group.members[0]][1]
         return any(self.varies[n][1] for n in array)
+
+    def arrays(self, group: Group) -> list[Entries]:
+        """Those that a group reads; of a number that is an argument of all of its calls,
+        one entry."""
+        given = group.arrays(self.graph)
+        if self.graph.nodes[group.members[0]].op != "call":
+            return given
+        return [each[:1] if len(set(each)) == 1 else each for each in given]
 
     def array(self, group: Group, array: Entries) -> tuple[Array, bool]:
         """One that a group reads, and whether something else fills it: what has made its
@@ -99,17 +115,42 @@ class Groups:
         return self._arrays[key], False
 
     def reserve(self, group: Group) -> None:
-        """Places for what a group makes."""
+        """Places for what a group makes: in an array of another one that reads it, or of
+        its own."""
         number = group.members[0]
         dtype, wide = self.graph.dtype(number), self.varies[number][1]
         stride = self.layout.size(dtype) if wide else dtype.itemsize
-        offset = self.layout.frame.place(group, len(group.members) * stride)
+        offset = self._within(group.members, wide, stride)
+        if offset is None:
+            offset = self.layout.frame.place(group, len(group.members) * stride)
         for k, number in enumerate(group.members):
             self.results[number] = Array(offset + k * stride, stride, wide)
 
+    def _within(self, members: Entries, wide: bool, stride: int) -> int | None:
+        """Where an array has them beside each other, and more."""
+        for reader, each, first in self._hosts.get(members[0], ()):
+            within = each[first : first + len(members)] == members
+            if within and len(each) > len(members) and self._wide(reader, each) == wide:
+                key = each, wide
+                if key not in self._arrays:
+                    offset = self.layout.frame.place(key, len(each) * stride)
+                    self._arrays[key] = Array(offset, stride, wide)
+                base = self._arrays[key].base
+                assert isinstance(base, int)
+                return base + first * stride
+        return None
+
+    def _made(self, number: int, array: Array, k: int) -> bool:
+        """Whether a group makes a number as the k-th entry of an array."""
+        made = self.results.get(number)
+        if made is None or made.wide != array.wide:
+            return False
+        assert isinstance(array.base, int)
+        return made.base == array.base + k * array.stride
+
     def own(self, group: Group) -> Iterable[tuple[Entries, Array]]:
         """The arrays that are filled for a group."""
-        for each in group.arrays(self.graph):
+        for each in self.arrays(group):
             array, known = self.array(group, each)
             if not known:
                 yield each, array
@@ -117,7 +158,7 @@ class Groups:
     def fill(self, wide: bool) -> None:
         """What does not change over time, of the arrays of later groups."""
         for group in self.moving:
-            for each in group.arrays(self.graph):
+            for each in self.arrays(group):
                 fixed = any(not self.varies[n][0] for n in each)
                 if fixed and self._wide(group, each) == wide:
                     array, known = self.array(group, each)
@@ -133,7 +174,7 @@ class Groups:
             self._copy(each, array)
             return
         for k, number in enumerate(each):
-            if not self.varies[number][0]:
+            if not self.varies[number][0] and not self._made(number, array, k):
                 self.put(number, array, k)
             if k % BLOCK == BLOCK - 1:
                 self.block = self.out.next_block()
@@ -164,33 +205,43 @@ class Groups:
     def forget(self) -> None:
         """The results of a step are not those of what comes after the last one."""
         fixed = {n: a for n, a in self.results.items() if not self.varies[n][0]}
-        self.results = fixed
+        self.results, self.there = fixed, set()
 
     # -- loops ---------------------------------------------------------------------------
 
-    def compute(self, group: Group) -> dict[int, str]:
-        """Emits a group where all of its arguments have names: those of its results."""
+    def compute(self, group: Group) -> None:
+        """Emits a group where all of its arguments have names."""
         for each, array in self.own(group):
             if not self.varies[group.members[0]][0]:
                 self._fill_fixed(each, array)
+            # Rows of an adaptive loop are computed in pieces, whose groups may be others
+            # than those of all, which `fill` knows.
+            filled = (each, array.wide) in self._filled
             for k, number in enumerate(each):
-                if self.varies[number][0]:
+                fixed = not self.varies[number][0]
+                if not (fixed and filled) and self._missing(number, array, k):
                     self.put(number, array, k)
         self.reserve(group)
         self.call(group)
-        found = {}
-        for number in group.members:
-            dtype, array = self.graph.dtype(number), self.results[number]
-            place = self.place(array)
-            found[number] = self.out.load(place, dtype, array.wide)
-        return found
+
+    def _missing(self, number: int, array: Array, k: int) -> bool:
+        """Whether an entry of an array is still to be put there, now."""
+        if (array, k) in self.there or self._made(number, array, k):
+            return False
+        self.there.add((array, k))
+        return True
+
+    def load(self, number: int) -> str:
+        """A name for what a group has made."""
+        array = self.results[number]
+        return self.out.load(self.place(array), self.graph.dtype(number), array.wide)
 
     def call(self, group: Group) -> None:
         """The loop, once its arrays are there."""
         number = group.members[0]
         node, result = self.graph.nodes[number], self.results[number]
-        arrays = [self.array(group, each)[0] for each in group.arrays(self.graph)]
-        wide, many = result.wide, self.layout.step.parts(number) if result.wide else 1
+        given = self.arrays(group)
+        arrays = [self.array(group, each)[0] for each in given]
         if node.op == "dot":
             out = self._writer(self.layout.step.width)
             count, inner = len(group.members), len(node.args) // 2
@@ -201,10 +252,30 @@ class Groups:
             types = [self.graph.dtype(a[0]).name for a in group.arrays(self.graph)]
             several(out, node.data[0], members, arrays, types, result.stride)
         else:
-            out = self._writer(self.layout.step.width // many)
-            count, step = len(group.members) * many, result.stride // many
-            entrywise(out, node.data, count, len(arrays), step, wide)
+            self._entrywise(group, given, arrays)
+            return
         self._call(out, [self.place(a) for a in arrays], self.place(result))
+
+    def _entrywise(
+        self, group: Group, given: Sequence[Entries], arrays: Sequence[Array]
+    ) -> None:
+        """Of arrays in the frame their distances from the result: a pointer for each would
+        take more registers than there are."""
+        number = group.members[0]
+        result, count = self.results[number], len(group.members)
+        base = result.base
+        assert isinstance(base, int), "results are in the frame"
+        uniform = [len(each) < count for each in given]
+        many = self.layout.step.parts(number) if result.wide and not any(uniform) else 1
+        out = self._writer(self.layout.step.width // many)
+        tables = [a for a in arrays if isinstance(a.base, str)]
+        offsets = [
+            f"%a{tables.index(a)}" if isinstance(a.base, str) else a.base - base
+            for a in arrays
+        ]
+        function, step = self.graph.nodes[number].data, result.stride // many
+        entrywise(out, function, count * many, offsets, uniform, step, result.wide)
+        self._call(out, [self.place(a) for a in tables], self.place(result))
 
     def _copy(self, each: Entries, array: Array) -> None:
         out, dtype = self._writer(self.layout.step.width), self.graph.dtype(each[0])
@@ -238,8 +309,9 @@ class Groups:
         for group in self.layout.body.groups:
             for each, array in self.own(group):
                 for k, number in enumerate(each):
-                    if number in made:
+                    if number in made and not self._made(number, array, k):
                         assert isinstance(array.base, int)
+                        self.there.add((array, k))
                         found.setdefault(number, []).append(array.base + k * array.stride)
         return {n: list(dict.fromkeys(places)) for n, places in found.items()}
 
@@ -247,5 +319,6 @@ class Groups:
         """What changes over time and a step does not make, of the arrays of a group."""
         for each, array in self.own(group):
             for k, number in enumerate(each):
-                if self.varies[number][0] and number not in made:
+                moving = self.varies[number][0] and number not in made
+                if moving and self._missing(number, array, k):
                     yield number, array, k

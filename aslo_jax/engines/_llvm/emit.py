@@ -289,6 +289,8 @@ class _Kernel:
             if slot[0] in ("carry", "lane log"):
                 self.values.read(slot, number)
         for number, home in made.leaving.items():
+            if number in self.groups.results:
+                continue  # read where it is needed
             place, dtype = self.layout.at(*home), self.graph.dtype(number)
             self.values.vectors[number] = self.layout.got(place, dtype)
 

@@ -1,7 +1,7 @@
 """Loops over arrays in memory, each a function of its own: the products of the rows of a
 matrix with a vector, a function of each entry, and copies of columns."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -113,29 +113,57 @@ def rows(
 
 
 def entrywise(
-    out: Writer, function: Function, count: int, arguments: int, step: int, vector: bool
+    out: Writer,
+    function: Function,
+    count: int,
+    offsets: Sequence[int | str],
+    uniform: Sequence[bool],
+    step: int,
+    vector: bool,
 ) -> None:
     """A function of each of `count` vectors, or numbers, in some arrays, `step` bytes
-    apart there and in the result."""
+    apart there and in the result. `offsets` are those of the arrays from the result, or the
+    names of pointers; what is `uniform` is one for all of them, and so is what is made of
+    that alone, before the loop."""
     graph = function.graph
     dtype = graph.dtype(function.result)
-    out.line("br label %some")
-    out.label("some")
-    at = len(out.lines)
-    pointers = [_by(out, f"%a{k}", "%i", step) for k in range(arguments)]
-    given = [out.load(pointer, dtype, vector) for pointer in pointers]
-    names: dict[int, str] = {}
     order = graph.reachable([function.result])
+    made = selected(graph, order, {function.result})
+    names: dict[int, str] = {}
+    alike: set[int] = set()
+    inputs = {n: graph.nodes[n].data[1] for n in order if graph.nodes[n].op == "input"}
     for number in order:
         node = graph.nodes[number]
         if node.op == "const":
             names[number] = out.constant(node.data, node.dtype, vector)
-        elif node.op == "input":
-            names[number] = given[node.data[1]]
-    for number, op, args in selected(graph, order, {function.result}):
+        if node.op == "const" or (number in inputs and uniform[inputs[number]]):
+            alike.add(number)
+
+    def read(number: int, to: str, shift: Callable[[str], str]) -> None:
+        offset = offsets[inputs[number]]
+        place = shift(offset) if isinstance(offset, str) else _at(out, to, offset)
+        names[number] = out.load(place, dtype, vector)
+
+    def compute(number: int, op: str, args: tuple[int, ...]) -> None:
         x = [names[a] for a in args]
         names[number] = operation(out, graph, number, op, args, x, vector)
-    place, kind = _by(out, "%to", "%i", step), out.type(dtype, vector)
+
+    for number in sorted(alike & inputs.keys()):
+        read(number, "%to", str)
+    for number, op, args in made:
+        if alike.issuperset(args):
+            alike.add(number)
+            compute(number, op, args)
+    out.line("br label %some")
+    out.label("some")
+    at = len(out.lines)
+    place = _by(out, "%to", "%i", step)
+    for number in sorted(inputs.keys() - alike):
+        read(number, place, lambda pointer: _by(out, pointer, "%i", step))
+    for number, op, args in made:
+        if number not in alike:
+            compute(number, op, args)
+    kind = out.type(dtype, vector)
     out.line(f"store {kind} {names[function.result]}, ptr {place}, align {dtype.itemsize}")
     _counted(out, at, count)
 

@@ -49,17 +49,17 @@ class Saving:
     def rows(self) -> None:
         """Saves those that are due after a step whose results are read back, and goes on to
         `advanced`."""
-        parts, out = self._parts(), self.out
-        before = dict(self.values.vectors)
+        parts, out, groups = self._parts(), self.out, self.values.groups
+        before, there = dict(self.values.vectors), set(groups.there)
         self.read()
         self.values.compute(parts.due)
         self._branch("prelude")
         out.label("prelude")
-        self.values.vectors = before
+        self.values.vectors, groups.there = before, there
         self.values.compute(parts.common)
         out.line("br label %rows")
         out.label("rows")
-        common = dict(self.values.vectors)
+        common, there = dict(self.values.vectors), set(groups.there)
         self.read()
         self.values.compute(parts.due)
         self._branch("row")
@@ -67,7 +67,7 @@ class Saving:
         self.values.compute(parts.each)
         self._write()
         out.line("br label %rows")
-        self.values.vectors = common
+        self.values.vectors, groups.there = common, there
 
     def _parts(self) -> Parts:
         """Those that change over time and a step does not make."""

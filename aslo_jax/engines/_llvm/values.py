@@ -32,7 +32,11 @@ class Values:
         if not vector:
             return self.scalars[number]
         if number not in self.vectors:
-            self.vectors[number] = self.out.splat(self.scalars[number], node.dtype)
+            made = self.groups.results.get(number)
+            if made is not None and made.wide:
+                self.vectors[number] = self.groups.load(number)
+            else:
+                self.vectors[number] = self.out.splat(self.scalars[number], node.dtype)
         return self.vectors[number]
 
     def compute(
@@ -44,9 +48,9 @@ class Values:
         nodes = self.graph.nodes if nodes is None else nodes
         for groups, rest in phases(nodes, numbers, self.varies):
             for group in groups:
-                vector = self.varies[group.members[0]][1]
-                made = self.groups.compute(group)
-                (self.vectors if vector else self.scalars).update(made)
+                self.groups.compute(group)
+                if not self.varies[group.members[0]][1]:
+                    self.scalars |= {n: self.groups.load(n) for n in group.members}
             for number in rest:
                 node = nodes[number]
                 if node.op in ("const", "input"):

@@ -34,6 +34,7 @@ class Vectors:
         whole = {n: place for n, place in places.items() if place is not None}
         for n in leaving - carry.keys():
             whole[n] = self.values.groups.home(n), "0"
+        self.values.groups.there = set()
         listed = self.values.groups.stored(self.made)
         home = {
             v: (offset + self.layout.first(v), base)

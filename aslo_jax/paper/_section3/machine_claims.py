@@ -1,6 +1,6 @@
 """Claims of the paper's sections 3.2 and 3.3: Prop. 3, O6, O7, O8, and the bearing."""
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from ..._simulate import Simulation
@@ -138,7 +138,8 @@ def angle(run: Simulation, printed: s.Printed) -> list[Claim]:
         return np.abs((found - true + period / 2) % period - period / 2)
 
     by_arctan = off(printed.angle(flux, current, L, n))
-    by_atan2 = off(np.asarray(rotor_angle(jnp.asarray(flux), jnp.asarray(current), L, n)))
+    angle_of = jax.jit(lambda flux, current: rotor_angle(flux, current, L, n))
+    by_atan2 = off(np.asarray(angle_of(flux, current)))
     electrical = n * true
     magnet = s.MAGNET * np.stack([np.cos(electrical), np.sin(electrical)], axis=1)
     direct = run.estimates["angle"].value[later] - magnet

@@ -22,14 +22,13 @@ from ..._filters import LowPass
 from ..._module import Module
 from ..._realise import Pass
 from ..._relations import swap
-from ..._replay import replay
 from ..._simulate import Simulation, simulate
 from ..._typing import FilterStart
 from ...control import FieldOriented, MotorFeedback
 from ...disturbances import SampledNoise
 from ...observers import AbstractObserver, AlgebraicMagnet, Estimate
 from ...plants import PMSM, FluxRelation, MachineState
-from .._batch import batch, solved, tight
+from .._batch import batch, sampled, solved, tight
 from . import settings as s
 from .prescribed import PrescribedMachine
 
@@ -195,65 +194,77 @@ def reversal(printed: s.Printed) -> Reversal:
         if threshold is None:
             observer = dataclasses.replace(observer, guard=None)
         beside[name] = observer
-    key = random.key(3)
     steps, block = round(s.REVERSAL_SPAN / s.INTERVAL), 10
-    record = Experiment(
-        plant,
-        control(plant, s.reversing),
-        beside,
-        s.INTERVAL,
-        feedback=encoder,
-        sensor=SampledNoise(s.CURRENT_NOISE, s.INTERVAL, key),
-        input_sensor=SampledNoise(s.VOLTAGE_NOISE, s.INTERVAL, key, 1),
-        plant_steps=2,
-    ).run(steps)
 
-    def blocks(x):
-        return np.asarray(x)[:-1].reshape(-1, block)
+    def loop(seed):
+        key = random.key(seed)
+        return Experiment(
+            plant,
+            control(plant, s.reversing),
+            beside,
+            s.INTERVAL,
+            feedback=encoder,
+            sensor=SampledNoise(s.CURRENT_NOISE, s.INTERVAL, key),
+            input_sensor=SampledNoise(s.VOLTAGE_NOISE, s.INTERVAL, key, 1),
+            plant_steps=2,
+        )
 
-    def size(name):
-        return jnp.linalg.norm(record.estimates[name].value - record.hidden, axis=1)
+    def kept(record):
+        each = {name: record.estimates[name] for name in REVERSAL}
+        size = lambda e: jnp.linalg.norm(e.value - record.hidden)
+        return (
+            record.t,
+            record.x.speed,
+            record.estimates["Delta"].value[0],
+            {name: size(e) for name, e in each.items()},
+            {name: e.certificate for name, e in each.items()},
+            {name: jnp.asarray(e.coasting) for name, e in each.items()},
+        )
 
-    found = {name: record.estimates[name] for name in REVERSAL}
+    record = sampled(loop, np.array([3]), steps, kept)
+    found = jax.tree.map(lambda x: x[0, :-1].reshape(-1, block), record)
+    t, speed, delta, error, certificate, coasting = found
     return Reversal(
-        blocks(record.t)[:, 0],
-        blocks(record.x.speed)[:, 0],
-        blocks(record.estimates["Delta"].value[:, 0])[:, 0],
-        {name: blocks(size(name)).max(axis=1) for name in REVERSAL},
-        {name: blocks(e.certificate).min(axis=1) for name, e in found.items()},
-        {
-            name: np.any(blocks(jnp.broadcast_to(e.coasting, record.t.shape)), axis=1)
-            for name, e in found.items()
-        },
+        t[:, 0],
+        speed[:, 0],
+        delta[:, 0],
+        {name: error[name].max(axis=1) for name in REVERSAL},
+        {name: certificate[name].min(axis=1) for name in REVERSAL},
+        {name: coasting[name].any(axis=1) for name in REVERSAL},
     )
 
 
 def fo1_growth(printed: s.Printed) -> np.ndarray:
     """FO1 in a loop sampled at 5 kHz for a second: the last error over the first one, for
     each of `FO1_GAINS`."""
-    plant, interval = s.motor(), 2e-4
-    record = Experiment(
-        plant,
-        control(plant, s.reference),
-        {},
-        interval,
-        feedback=encoder,
-        plant_steps=4,
-    ).run(5000)
-    instants = np.arange(5001) * interval
+    plant = s.motor()
 
-    def one(gain):
+    def loop(gain):
         observer = printed.fo1(plant.flux_relation(), gain)
-        value = replay(observer, instants, record.u, record.y, engine="scan").value
-        error = jnp.linalg.norm(value - record.hidden, axis=1)
-        return error[-1] / error[0]
+        return Experiment(
+            plant,
+            control(plant, s.reference),
+            {"FO1": observer},
+            2e-4,
+            feedback=encoder,
+            plant_steps=4,
+        )
 
-    return np.asarray(jax.jit(jax.vmap(one))(jnp.array(FO1_GAINS)))
+    def error(record):
+        return jnp.linalg.norm(record.estimates["FO1"].value - record.hidden)
+
+    size = sampled(loop, np.array(FO1_GAINS), 5000, error, every=5000)
+    return size[:, -1] / size[:, 0]
 
 
 def current_needed(torque: float, torque_factor: float) -> float:
     """The current on the torque axis (A) that gives `torque` (N m)."""
-    plant = PMSM.bmp0701f(torque_factor=torque_factor)
-    x = plant.initial()
-    flux = x.flux + plant.inductance * jnp.array([0.0, 1.0])
-    return torque / float(plant.torque(MachineState(flux, x.speed, x.angle)))
+
+    @jax.jit
+    def each(factor):
+        plant = PMSM.bmp0701f(torque_factor=factor)
+        x = plant.initial()
+        flux = x.flux + plant.inductance * jnp.array([0.0, 1.0])
+        return plant.torque(MachineState(flux, x.speed, x.angle))
+
+    return torque / float(each(torque_factor))

@@ -26,8 +26,8 @@ def circulation(friction: float) -> float:
         return (slope * rate + friction) / m3
 
     # The trapezoidal rule of a periodic function converges faster than any power.
-    t = 2 * jnp.pi * jnp.arange(POINTS) / POINTS
-    return float(2 * jnp.pi * jnp.mean(jax.vmap(right_side)(t)))
+    t = 2 * np.pi * np.arange(POINTS) / POINTS
+    return float(2 * np.pi * np.mean(jax.jit(jax.vmap(right_side))(t)))
 
 
 def claims(constant: Simulation, varying: Simulation) -> list[Claim]:

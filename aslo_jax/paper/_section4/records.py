@@ -3,15 +3,14 @@
 import dataclasses
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from ... import random
 from ..._experiment import Experiment
 from ...disturbances import Chain, Encoder, SampledNoise
 from ...plants import AbstractMechanicalSystem, MechanicalState
+from .._batch import sampled
 from . import settings as s
 
 
@@ -37,9 +36,9 @@ VALIDATION, TRAINING = 16, 8  # records of each case, from first states of their
 class Records(NamedTuple):
     """`u`, `y` and the true velocities, arrays of shape (cases, records, N, ...)."""
 
-    u: Float[Array, "cases records N m"]
-    y: Float[Array, "cases records N n"]
-    velocity: Float[Array, "cases records N n"]
+    u: Float[np.ndarray, "cases records N m"]
+    y: Float[np.ndarray, "cases records N n"]
+    velocity: Float[np.ndarray, "cases records N n"]
 
 
 INSTANTS = s.INTERVAL * np.arange(s.STEPS + 1)
@@ -48,13 +47,13 @@ INSTANTS = s.INTERVAL * np.arange(s.STEPS + 1)
 def record(mechanism: s.Mechanism) -> Records:
     """The records of every case; those of validation come first."""
     count = VALIDATION + TRAINING
-    positions, velocities = _starts(mechanism, count)
-    keys = jax.vmap(random.fold, (None, 0))(random.key(4), jnp.arange(count))
     system, angles = mechanism.system, mechanism.system.angles
 
-    def one(position, velocity, key, resolution, deviation):
+    def one(sample):
+        number, position, velocity, resolution, deviation = sample
+        key = random.fold(random.key(4), number)
         noise = SampledNoise(deviation, s.INTERVAL, key)
-        loop = Experiment(
+        return Experiment(
             system,
             mechanism.controller(system),
             {},
@@ -63,18 +62,16 @@ def record(mechanism: s.Mechanism) -> Records:
             sensor=Chain(noise, Encoder(resolution, angles)),
             initial=MechanicalState(position, velocity),
         )
-        run = loop.run(s.STEPS)
-        return run.u, run.y, run.hidden
 
     cases = CASES.values()
-    resolution = jnp.array([resolutions(mechanism, case.bits) for case in cases])
-    deviation = jnp.array([case.noise for case in cases])
-    each = jax.vmap(one, (0, 0, 0, None, None))
-    return Records(
-        *jax.jit(jax.vmap(each, (None, None, None, 0, 0)))(
-            positions, velocities, keys, resolution, deviation
-        )
-    )
+    each = np.arange(count), *_starts(mechanism, count)
+    starts = [np.tile(x, (len(cases), *[1] * (x.ndim - 1))) for x in each]
+    resolution = np.array([resolutions(mechanism, case.bits) for case in cases])
+    deviation = np.array([case.noise for case in cases])
+    given = [np.repeat(x, count, axis=0) for x in (resolution, deviation)]
+    kept = lambda record: (record.u, record.y, record.hidden)
+    found = sampled(one, (*starts, *given), s.STEPS, kept)
+    return Records(*(x.reshape(len(cases), count, *x.shape[1:]) for x in found))
 
 
 def resolutions(mechanism: s.Mechanism, bits: int) -> tuple[float, ...]:
@@ -82,7 +79,7 @@ def resolutions(mechanism: s.Mechanism, bits: int) -> tuple[float, ...]:
     return tuple(span / 2**bits for span in mechanism.ranges)
 
 
-def _starts(mechanism: s.Mechanism, count: int) -> tuple[Array, Array]:
+def _starts(mechanism: s.Mechanism, count: int) -> tuple[np.ndarray, np.ndarray]:
     """First positions and velocities, each of shape (count, n), in a box about the
     mechanism's own: Sobol points, the first of them left out, a corner."""
     from scipy.stats import qmc
@@ -93,8 +90,10 @@ def _starts(mechanism: s.Mechanism, count: int) -> tuple[Array, Array]:
     points = qmc.Sobol(2 * n, scramble=False).random_base2(power)[1 : count + 1]
     about = 2.0 * points - 1.0
     center, spread = mechanism.start, mechanism.spread
-    position = center.position + about[:, :n] * spread.position
-    return position, center.velocity + about[:, n:] * spread.velocity
+    first = np.concatenate([center.position, center.velocity])
+    box = np.concatenate([spread.position, spread.velocity])
+    position, velocity = np.split(first + about * box, [n], axis=1)
+    return position, velocity
 
 
 def assumed(mechanism: s.Mechanism, case: Case) -> AbstractMechanicalSystem:

@@ -1,6 +1,6 @@
 """The contenders on the sampled records, their gains found by one search on one budget."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -11,7 +11,6 @@ from jaxtyping import Array, Float
 
 from ..._completions import Repeat
 from ..._filters import AbstractFilter, LowPass, second_order
-from ..._replay import replay
 from ..._structure import Structure, structure_of
 from ..._typing import FilterStart
 from ...observers import (
@@ -23,12 +22,14 @@ from ...observers import (
     FilteredDerivative,
     HighGain,
     MomentumRelation,
+    SideBySide,
     SuperTwisting,
     Unwrapped,
     Velocities,
     VelocityObserver,
 )
 from ...plants import AbstractMechanicalSystem
+from .._batch import by_logs
 from . import settings as s
 from .records import (
     CASES,
@@ -140,34 +141,51 @@ class Tuned(NamedTuple):
         return np.sqrt(np.mean(self.rms**2, axis=0))
 
 
-Replay = Callable[..., np.ndarray]
+Gains = dict[str, np.ndarray]  # by contender
+Replay = Callable[..., dict[str, np.ndarray]]
 LATER = INSTANTS >= START_UP
 
 
-def replayer(mechanism: s.Mechanism, contender: Contender) -> Replay:
-    """From gains, shape (lanes, n), as many systems, and u, y and true velocities of as
-    many records, to the errors, shape (lanes, N, n). Compiled once, since there are as many
-    trials on the records of training as records of validation."""
+def replayer(mechanism: s.Mechanism, contenders: dict[str, Contender]) -> Replay:
+    """From gains of every contender, shape (lanes, n), as many systems, and u, y and true
+    velocities of as many records, to the errors of each, shape (lanes, N, n). All run
+    beside each other in one loop, compiled once, since there are as many trials on the
+    records of training as records of validation."""
     form, angles = structure_of(mechanism.system), mechanism.system.angles
 
-    def one(gains, system, u, y, velocity):
-        observer = Unwrapped(contender.make(gains, system, form, y[0]), angles)
-        return replay(observer, INSTANTS, u, y, engine="scan").value - velocity
+    def make(sample, y):
+        gains, system = sample
+        each = {k: c.make(gains[k], system, form, y) for k, c in contenders.items()}
+        return Unwrapped(SideBySide(each), angles)
 
-    return jax.jit(jax.vmap(one))
+    values = by_logs(make, s.INTERVAL)
+
+    def run(gains, system, u, y, velocity):
+        found = values((gains, system), u, y)
+        return {name: value - velocity for name, value in found.items()}
+
+    return run
 
 
 def _rms(errors) -> np.ndarray:
     return np.sqrt(np.mean(np.asarray(errors)[:, LATER] ** 2, axis=1))
 
 
-def evaluate(run: Replay, gains, system, records: tuple[Array, ...]) -> np.ndarray:
-    """The rms error of each of `gains`, shape (trials, n), over the given records."""
-    count = records[0].shape[0]
-    lanes = np.repeat(np.asarray(gains), count, axis=0)  # NumPy, which compiles nothing
-    copies = tuple(np.tile(x, (len(gains), 1, 1)) for x in records)
-    rms = _rms(run(lanes, copied(system, len(lanes)), *copies))
-    return np.sqrt(np.mean(rms.reshape(len(gains), count, -1) ** 2, axis=1))
+def evaluate(
+    run: Replay, gains: Gains, system, records: tuple[np.ndarray, ...]
+) -> dict[str, np.ndarray]:
+    """The rms error of each of the `gains` of every contender, shape (trials, n), over the
+    given records."""
+    count, trials = records[0].shape[0], len(next(iter(gains.values())))
+    lanes = {name: np.repeat(each, count, axis=0) for name, each in gains.items()}
+    copies = tuple(np.tile(x, (trials, 1, 1)) for x in records)
+    errors = run(lanes, copied(system, trials * count), *copies)
+
+    def over_records(error):
+        rms = _rms(error).reshape(trials, count, -1)
+        return np.sqrt(np.mean(rms**2, axis=1))
+
+    return {name: over_records(error) for name, error in errors.items()}
 
 
 def copied(system: AbstractMechanicalSystem, count: int) -> AbstractMechanicalSystem:
@@ -175,45 +193,61 @@ def copied(system: AbstractMechanicalSystem, count: int) -> AbstractMechanicalSy
     return jax.tree.map(lambda x: np.broadcast_to(x, (count, *x.shape)), system)
 
 
-def search(run: Replay, box: tuple[float, float], system, training) -> np.ndarray:
-    """The gain of each coordinate with the least rms error in training: Sobol points of the
-    box, then as many of a box half as wide about the best of each coordinate, which is
-    one of them, and so on. Only the last round counts: what is best in a coordinate depends
-    on the other gains, which are then near their last values."""
+def search(
+    run: Replay, boxes: dict[str, tuple[float, float]], system, training
+) -> dict[str, np.ndarray]:
+    """Of every contender the gain of each coordinate with the least rms error in training:
+    Sobol points of its box, then as many of a box half as wide about the best of each
+    coordinate, which is one of them, and so on. Only the last round counts: what is best
+    in a coordinate depends on the other gains, which are then near their last values."""
     from scipy.stats import qmc
 
     n = training[1].shape[-1]
-    low, high = np.log(box)
-    best = np.full(n, 0.5 * (low + high))
+    ends = {name: np.log(box) for name, box in boxes.items()}
+    best = {name: np.full(n, 0.5 * (low + high)) for name, (low, high) in ends.items()}
     sobol = qmc.Sobol(n, scramble=False).random(TRIALS)
     for k in range(ROUNDS):
-        half = 0.5 * (high - low) * 0.5**k
-        trials = np.clip(best + half * (2.0 * sobol - 1.0), low, high)
-        rms = evaluate(run, np.exp(trials), system, training)
-        rms = np.where(np.isfinite(rms), rms, np.inf)
-        best = trials[rms.argmin(axis=0), np.arange(n)]
-    return np.exp(best)
+        trials = {}
+        for name, (low, high) in ends.items():
+            half = 0.5 * (high - low) * 0.5**k
+            trials[name] = np.clip(best[name] + half * (2.0 * sobol - 1.0), low, high)
+        gains = {name: np.exp(each) for name, each in trials.items()}
+        for name, rms in evaluate(run, gains, system, training).items():
+            rms = np.where(np.isfinite(rms), rms, np.inf)
+            best[name] = trials[name][rms.argmin(axis=0), np.arange(n)]
+    return {name: np.exp(each) for name, each in best.items()}
 
 
 def tune(
-    mechanism: s.Mechanism, contender: Contender, run: Replay, records: Records
-) -> dict[str, Tuned]:
-    """The contender in every case, tuned and validated."""
+    mechanism: s.Mechanism,
+    contenders: dict[str, Contender],
+    run: Replay,
+    records: Records,
+) -> dict[str, dict[str, Tuned]]:
+    """By case, the contenders, tuned and validated."""
     systems = [assumed(mechanism, case) for case in CASES.values()]
+    boxes = {name: each.box for name, each in contenders.items()}
     gains = [
-        search(run, contender.box, system, training(records, i))
-        for i, system in enumerate(systems)
+        search(run, boxes, system, training(records, i)) for i, system in enumerate(systems)
     ]
     held_out = tuple(x[:, :VALIDATION].reshape(-1, *x.shape[2:]) for x in records)
     each = [copied(system, VALIDATION) for system in systems]
     batch = jax.tree.map(lambda *x: np.concatenate(x), *each)
-    errors = run(np.repeat(gains, VALIDATION, axis=0), batch, *held_out)
-    errors = np.asarray(errors).reshape(len(CASES), VALIDATION, *errors.shape[1:])
+    found = {name: np.stack([case[name] for case in gains]) for name in contenders}
+    lanes = {name: np.repeat(x, VALIDATION, axis=0) for name, x in found.items()}
+    errors = run(lanes, batch, *held_out)
     largest = np.abs(held_out[2]).max(axis=(0, 1))
-    return {name: _tuned(gains[i], errors[i], largest) for i, name in enumerate(CASES)}
+
+    def tuned(name, i):
+        within = slice(i * VALIDATION, (i + 1) * VALIDATION)
+        return _tuned(found[name][i], errors[name][within], largest)
+
+    return {
+        case: {name: tuned(name, i) for name in contenders} for i, case in enumerate(CASES)
+    }
 
 
-def training(records: Records, case: int) -> tuple[Array, ...]:
+def training(records: Records, case: int) -> tuple[np.ndarray, ...]:
     """u, y and the true velocities of the records of training."""
     return tuple(x[case, VALIDATION:] for x in records)
 
@@ -242,23 +276,23 @@ def compare(
     mechanism: s.Mechanism, contenders: dict[str, Contender], records: Records
 ) -> Comparison:
     """Every contender in every case."""
-    runs = {name: replayer(mechanism, each) for name, each in contenders.items()}
-    found = {
-        name: tune(mechanism, each, runs[name], records)
-        for name, each in contenders.items()
-    }
-    tuned = {case: {name: each[case] for name, each in found.items()} for case in CASES}
+    run = replayer(mechanism, contenders)
+    tuned = tune(mechanism, contenders, run, records)
     off = {"nothing": {}} | {name: {name: 1} for name in mechanism.parameters}
     swept = {
-        name: sweep(mechanism, runs[ASLO], wrong(mechanism, parameters), records)
+        name: sweep(tuple(contenders), run, wrong(mechanism, parameters), records)
         for name, parameters in off.items()
     }
     return Comparison(mechanism, tuned, swept)
 
 
-def sweep(mechanism: s.Mechanism, run: Replay, system, records: Records) -> np.ndarray:
-    """The rms error at each of `RATES`, the same for every coordinate, shape (rates, n)."""
-    gains = np.repeat(RATES[:, None], mechanism.coordinates, axis=1)
+def sweep(names: Sequence[str], run: Replay, system, records: Records) -> np.ndarray:
+    """The rms error of the ASLO at each of `RATES`, the same for every coordinate, shape
+    (rates, n). The other contenders of the loop, by their `names`, run along."""
     plain = training(records, tuple(CASES).index("16 bit"))
-    pieces = [evaluate(run, g, system, plain) for g in np.split(gains, 3)]
+    gains = np.repeat(RATES[:, None], plain[1].shape[-1], axis=1)
+    pieces = [
+        evaluate(run, dict.fromkeys(names, g), system, plain)[ASLO]
+        for g in np.split(gains, 3)
+    ]
     return np.concatenate(pieces)
