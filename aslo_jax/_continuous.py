@@ -1,7 +1,7 @@
 """A loop in continuous time for batches and studies, recorded at even instants."""
 
 from collections.abc import Callable
-from typing import Any, Generic
+from typing import Any, Generic, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -81,19 +81,28 @@ class ContinuousExperiment(Module, Generic[Est]):
     def run(self, steps: int) -> Record[Est]:
         """Its record at 0, 1, ... `steps` intervals, by diffrax: leaves with a leading axis
         of length `steps + 1`."""
+        return self.integrated(steps)[0]
+
+    def integrated(
+        self, steps: int, integrands: Callable[[Record[Est]], PyTree] | None = None
+    ) -> tuple[Record[Est], PyTree]:
+        """The same, and the integrals of `integrands(record)`, a tree, up to there."""
         loop, x0 = self.begun(steps)
+        both = Beside(loop, integrands)
         dtype = jnp.result_type(float)
         start = jnp.zeros((), dtype)
         ts = jnp.arange(steps + 1, dtype=dtype) * self.interval
         control = diffrax.PIDController(rtol=self.rtol, atol=self.atol)
         solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(loop.vector_field),
+            diffrax.ODETerm(lambda t, y, args: both.rate(t, y)),
             diffrax.Tsit5(),
             start,
             ts[-1],
             None,
-            loop.init(start, x0),
-            saveat=diffrax.SaveAt(ts=ts, fn=lambda t, y, args: recorded(loop, t, y)),
+            both.init(start, x0),
+            saveat=diffrax.SaveAt(
+                ts=ts, fn=lambda t, y, args: (recorded(loop, t, y[0]), y[1])
+            ),
             stepsize_controller=between_jumps(control, loop.span, 0.0, None),
             adjoint=diffrax.ForwardMode(),
             max_steps=self.max_steps,
@@ -101,6 +110,28 @@ class ContinuousExperiment(Module, Generic[Est]):
         )
         assert solution.ys is not None
         return jax.tree.map(_nothing, solution.ys)
+
+
+class Beside(NamedTuple):
+    """A loop with integrals beside its states, of `integrands(record)`, a tree, without any
+    if that is None."""
+
+    loop: Interconnection
+    integrands: Callable[[Record[Any]], PyTree] | None
+
+    def init(self, t0: Any, x0: PyTree) -> tuple[PyTree, PyTree]:
+        """At the first instant, from the plant's state."""
+        state = self.loop.init(t0, x0)
+        return state, jax.tree.map(jnp.zeros_like, self._rates(t0, state))
+
+    def rate(self, t: Any, both: tuple[PyTree, PyTree]) -> tuple[PyTree, PyTree]:
+        """The derivative of both."""
+        return self.loop.vector_field(t, both[0], None), self._rates(t, both[0])
+
+    def _rates(self, t: Any, state: PyTree) -> PyTree:
+        if self.integrands is None:
+            return None
+        return self.integrands(recorded(self.loop, t, state))
 
 
 AnyExperiment = Experiment[Any] | ContinuousExperiment[Any]

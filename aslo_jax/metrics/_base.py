@@ -53,6 +53,16 @@ class AbstractMetric(Module):
     def result(self, state: PyTree) -> PyTree:
         """The metric, from the last state."""
 
+    def integrand(self, record: Record) -> PyTree:
+        """Of an integral, its derivative at an instant, which a [`ContinuousExperiment`][]
+        integrates beside the states; `None` of every other metric, which is a reduction of
+        records there too."""
+        return None
+
+    def of_integral(self, integral: PyTree) -> PyTree:
+        """The last state, from what has become of the integrand."""
+        raise NotImplementedError(f"{type(self).__name__} is no integral.")
+
 
 class AbstractComposed(AbstractMetric):
     """A metric that is made of the result of another."""
@@ -66,6 +76,12 @@ class AbstractComposed(AbstractMetric):
 
     def update(self, state: PyTree, record: Record) -> PyTree:
         return self.inner().update(state, record)
+
+    def integrand(self, record: Record) -> PyTree:
+        return self.inner().integrand(record)
+
+    def of_integral(self, integral: PyTree) -> PyTree:
+        return self.inner().of_integral(integral)
 
 
 class PerObserver(AbstractMetric):
@@ -81,6 +97,13 @@ class PerObserver(AbstractMetric):
 
     def result(self, state: PyTree) -> PyTree:
         return {name: m.result(state[name]) for name, m in self.metrics.items()}
+
+    def integrand(self, record: Record[Any]) -> PyTree:
+        found = {name: m.integrand(record) for name, m in self.metrics.items()}
+        return None if any(rate is None for rate in found.values()) else found
+
+    def of_integral(self, integral: PyTree) -> PyTree:
+        return {name: m.of_integral(integral[name]) for name, m in self.metrics.items()}
 
 
 # A metric, or what makes one from the name of an observer, as most classes of metrics do.

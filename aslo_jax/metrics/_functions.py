@@ -4,10 +4,12 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from .._checks import nonnegative, real
+from .._checks import is_concrete, nonnegative, real
 from .._experiment import Record
+from .._kinks import below
 from .._typing import PyTree
 from ._base import AbstractMetric, counts
 
@@ -85,7 +87,9 @@ class Final(AbstractMetric):
 
 class Integral(AbstractMetric):
     """The integral over time of `function(record)`, an array of any shape, by trapezoids
-    over the intervals that begin at `after` (s) or later: its units times seconds."""
+    over the intervals that begin at `after` (s) or later: its units times seconds. Of a
+    [`ContinuousExperiment`][] it is a state beside the others, with the same tolerance, and
+    begins at `after`; where the function is not finite, the run ends there."""
 
     function: Callable[[Record], Array]
     after: Float[Array, ""] = eqx.field(converter=real, default=0.0)
@@ -106,3 +110,12 @@ class Integral(AbstractMetric):
 
     def result(self, state: PyTree) -> PyTree:
         return state[-1]
+
+    def integrand(self, record: Record) -> PyTree:
+        value = _value(self.function, record)
+        if is_concrete(self.after) and not np.asarray(self.after) > 0:
+            return value
+        return jnp.where(below(record.t, self.after), 0.0, value)
+
+    def of_integral(self, integral: PyTree) -> PyTree:
+        return (integral,)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..._checks import is_concrete
-from ..._continuous import recorded
+from ..._continuous import Beside, recorded
 from ..._frontend.outlining import ALWAYS
 from ..._typing import PyTree
 from .._fused.plan import Batch, Plan
@@ -29,6 +29,12 @@ class Saving(NamedTuple):
 
     row: Any
     metrics: PyTree
+
+
+def _integrands(plan: Plan, record: Any) -> dict[str, PyTree]:
+    """Of the metrics that are integrals."""
+    found = {name: m.integrand(record) for name, m in plan.metrics.items()}
+    return {name: rate for name, rate in found.items() if rate is not None}
 
 
 class Continuous:
@@ -78,12 +84,18 @@ class Continuous:
         def experiment(inputs) -> Any:
             return plan.make(jax.tree.unflatten(self.tree, inputs["lane"]))
 
+        integrands = functools.partial(_integrands, plan)
+
         def start(inputs):
             loop, x0 = experiment(inputs).begun(steps)
-            return loop.init(jnp.zeros((), jnp.result_type(float)), x0)
+            zero = jnp.zeros((), jnp.result_type(float))
+            return Beside(loop, integrands).init(zero, x0)
 
-        def field(inputs, t, state):
-            return experiment(inputs).begun(steps)[0].vector_field(t, state, None)
+        def field(inputs, t, both):
+            return Beside(experiment(inputs).begun(steps)[0], integrands).rate(t, both)
+
+        def reduced(integrals):
+            return [(n, m) for n, m in plan.metrics.items() if n not in integrals]
 
         states = traced(start, field)
 
@@ -101,13 +113,13 @@ class Continuous:
 
         def begin(inputs):
             _, loop, x, tree, rate, _, march = of(inputs)
-            record = recorded(loop, jnp.zeros((), x.dtype), tree(x))
-            metrics = {name: m.init(record) for name, m in plan.metrics.items()}
+            record = recorded(loop, jnp.zeros((), x.dtype), tree(x)[0])
+            metrics = {name: m.init(record) for name, m in reduced(integrands(record))}
             return march.begin(rate, x), Saving(jnp.asarray(1), metrics), None
 
         def first(inputs):
             _, loop, x, tree, *_ = of(inputs)
-            return plan._kept(recorded(loop, jnp.zeros((), x.dtype), tree(x)))
+            return plan._kept(recorded(loop, jnp.zeros((), x.dtype), tree(x)[0]))
 
         def advance(carry, inputs, _):
             *_, rate, _, march = of(inputs, step=True)
@@ -119,25 +131,36 @@ class Continuous:
             last = saving.row >= steps
             t = jnp.where(last, steps * made.interval, saving.row * made.interval)
             due = dense.accepted & (saving.row <= steps) & (t <= dense.end)
-            record = recorded(loop, t, tree(stepper.at(dense, t)))
+            record = recorded(loop, t, tree(stepper.at(dense, t))[0])
             metrics = {
-                name: m.update(saving.metrics[name], record)
-                for name, m in plan.metrics.items()
+                name: plan.metrics[name].update(metric, record)
+                for name, metric in saving.metrics.items()
             }
             after = Saving(saving.row + 1, metrics)
             written = saving.row % every == 0
             return due, written, saving.row // every, after, plan._kept(record)
 
         def finish(carry, saving, inputs):
-            made, _, _, _, rate, stepper, _ = of(inputs)
+            made, _, _, tree, rate, stepper, _ = of(inputs)
             code = carry.lane.code
             end = jnp.asarray(steps * made.interval, carry.lane.t.dtype)
             stiff = stepper.stiff(rate, carry.lane, end)
-            results = {n: m.result(saving.metrics[n]) for n, m in plan.metrics.items()}
+            results = _results(plan, saving.metrics, tree(carry.lane.x)[1])
             there = code == ENDED
             return jax.tree.map(lambda x: _unless(there, x), results), code, stiff
 
         return Bodies(begin, advance, finish, save, first)
+
+
+def _results(plan: Plan, metrics: PyTree, integrals: PyTree) -> dict[str, PyTree]:
+    """Of the metrics, from their last states and from what has been integrated."""
+    found = {}
+    for name, metric in plan.metrics.items():
+        if name in integrals:
+            found[name] = metric.result(metric.of_integral(integrals[name]))
+        else:
+            found[name] = metric.result(metrics[name])
+    return found
 
 
 def _unless(there: Any, x: Any) -> Any:
@@ -149,17 +172,21 @@ def run_by_diffrax(plan: Plan, samples: PyTree, steps: int, every: int) -> Batch
     """The same by diffrax, vectorised."""
 
     def one(sample):
-        records = plan.make(sample).run(steps)
+        records, integrals = plan.make(sample).integrated(
+            steps, functools.partial(_integrands, plan)
+        )
         row = lambda k: jax.tree.map(lambda x: x[k], records)
-        metrics = {name: m.init(row(0)) for name, m in plan.metrics.items()}
+        others = {n: m for n, m in plan.metrics.items() if n not in integrals}
+        metrics = {name: m.init(row(0)) for name, m in others.items()}
 
         def update(states, record):
-            return {n: m.update(states[n], record) for n, m in plan.metrics.items()}, None
+            return {n: m.update(states[n], record) for n, m in others.items()}, None
 
         rest = jax.tree.map(lambda x: x[1:], records)
         metrics, _ = jax.lax.scan(update, metrics, rest)
         kept = jax.tree.map(lambda x: x[::every], records)
         kept = None if plan.record is None else jax.vmap(plan.record)(kept)
-        return Batch({n: m.result(metrics[n]) for n, m in plan.metrics.items()}, kept)
+        last = jax.tree.map(lambda x: x[-1], integrals)
+        return Batch(_results(plan, metrics, last), kept)
 
     return jax.vmap(one)(samples)
