@@ -190,6 +190,15 @@ def test_parts_of_the_library_keep_the_tolerance(parts):
             assert np.abs(a - b).max() < 10 * rtol * np.abs(b).max()
 
 
+def test_a_limit_may_be_infinite():
+    """Of which the switching function is too."""
+    how = dict(t1=0.02, ts=np.array([0.02]), engine="fused", rtol=1e-7, atol=1e-9)
+    one = aslo.simulate(MOTOR, turning, {}, actuator=Saturation(-jnp.inf, 38.0), **how)
+    both = aslo.simulate(MOTOR, turning, {}, actuator=Saturation(-900.0, 38.0), **how)
+    assert not one.result.any()
+    np.testing.assert_allclose(one.x.flux, both.x.flux, atol=1e-9)
+
+
 @pytest.mark.slow
 def test_kinks_beside_held_noise():
     """Whose jumps move the switching functions: they are taken anew there."""

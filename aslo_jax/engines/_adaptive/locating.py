@@ -52,9 +52,8 @@ class Kinks(NamedTuple):
     def sides(self) -> Float[Array, " m"]:
         """What is added to switching functions: where they are held, more than they can be,
         and otherwise 0."""
-        return (
-            jnp.where(self.held, HELD * jnp.finfo(self.values.dtype).max, 0.0) * self.side
-        )
+        most = HELD * float(jnp.finfo(self.values.dtype).max)
+        return jnp.where(self.held, most, 0.0) * self.side
 
     def at(self, values: Any) -> "Kinks":
         """With the values at the start of a step, zeros on the side that is known."""

@@ -29,7 +29,9 @@ def switched(closed: Any, given: Sequence[Any], sides: Any) -> tuple[list[Any], 
     and the functions' values, shape `(m,)`."""
     run = _Switched(sides)
     outs = run.closed(closed, given)
-    return outs, jnp.concatenate([jnp.ravel(g).astype(sides.dtype) for g in run.values])
+    values = jnp.concatenate([jnp.ravel(g).astype(sides.dtype) for g in run.values])
+    most = float(jnp.finfo(sides.dtype).max) ** 0.5  # a limit may be infinite
+    return outs, jnp.clip(values, -most, most)
 
 
 LOOPS = ("scan", "while", "cond")  # which stay as they are

@@ -150,7 +150,7 @@ def drive(run: Simulation) -> list[Claim]:
     """The load, the current and the speed of 3.1.3."""
     later = run.t > 1.0
     scenario = "Motor BMP0701F, maximum current 2.3 A, load 3 + 0.5 sin 0.1t N m."
-    tracking = np.abs(run.x.speed - jax.jit(s.reference)(run.t))[later].max()
+    tracking = np.abs(run.x.speed - jax.jit(jax.vmap(s.reference))(run.t))[later].max()
     return [
         Claim(
             "load current, printed torque",
