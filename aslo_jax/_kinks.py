@@ -25,6 +25,10 @@ def kinked(function: Callable[..., Any]) -> Callable[..., Any]:
     - `function(*arrays) -> arrays`: elementwise; of kinks within loops and conditions
       (`jax.lax.scan`, `jax.lax.cond`) nothing is known.
 
+    A sliding mode, along which two sides push against each other (dry friction at rest), is
+    no solution between kinks: a run goes through it by many short steps, with an error of
+    many times the tolerance. Give such a function a narrow slope instead of a jump.
+
     Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, section
     II.6, discontinuous equations.
     """

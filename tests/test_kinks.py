@@ -102,6 +102,15 @@ def test_a_kink_between_the_ends_of_a_step_is_seen():
         np.testing.assert_allclose(found, exact, atol=rtol)
 
 
+def test_a_sliding_mode_comes_to_an_end():
+    """Dry friction holds a mass up to t = 4 s, where the force becomes larger: along the
+    kink steps are short, but the run reaches its end."""
+    field = lambda t, x: jnp.stack([0.25 * t - sign(x[0])])
+    found = run(field, [0.0], 8.0, 1e-4, max_steps=20_000)
+    assert not found.result.any()
+    np.testing.assert_allclose(found.x[0, 0], 2.0, atol=0.05)
+
+
 # -- against SciPy from kink to kink ------------------------------------------------------
 
 

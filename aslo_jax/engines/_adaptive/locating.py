@@ -23,6 +23,7 @@ from ..._frontend.outlining import ALWAYS, name_of
 OVER, AIMED = 0.2, 0.05  # of what is tolerated, by going behind a kink
 CAUTION = 2.0  # times so much may a step go too far as straight lines say
 TRIES, STRAYS = 12, 3  # before no side is held, and where one changes for a while
+SLIDING = 5.0  # steps that may end behind a kink, one after the other
 HELD = 0.25  # of the largest number
 APART = 0.2  # so far in a step are stages of which all is looked at
 NEAR = 0.3  # values over the largest at which all of a step is looked at
@@ -35,12 +36,14 @@ BEYOND = 1.02  # times what a straight line says is left up to a kink
 class Kinks(NamedTuple):
     """Of a lane: the `values` of its switching functions at the start of a step; whether
     their sides are `held`; how many `tries` there were for the next kink, and how long the
-    step was `meant` to be before, 0 while none is sought."""
+    step was `meant` to be before, 0 while none is sought; how many steps more have ended
+    behind one than not, `slides`."""
 
     values: Float[Array, " m"]
     held: Bool[Array, ""]
     tries: Float[Array, ""]
     meant: Float[Array, ""]
+    slides: Float[Array, ""]
 
     @property
     def side(self) -> Float[Array, " m"]:
@@ -81,7 +84,7 @@ def begun(values: Any, after: Any) -> Kinks:
     tiny = jnp.finfo(values.dtype).tiny
     start = jnp.where(values == 0.0, jnp.sign(after) * tiny, values)
     zero = jnp.zeros((), values.dtype)
-    return Kinks(start, jnp.asarray(True), zero, zero)
+    return Kinks(start, jnp.asarray(True), zero, zero, zero)
 
 
 def judged(
@@ -218,11 +221,15 @@ def following(
     nearer = accepted & (kinks.meant > 0.0)
     tries = jnp.where(turned | nearer, kinks.tries + 1.0, kinks.tries)
     held = kinks.held & ~(turned & verdict.lost)
+    # Along a kink, as in a sliding mode, every step ends at once if sides are held.
+    more = jnp.where(jnp.any(kinks.side * end < 0.0), 1.0, -1.0)
+    slides = jnp.clip(kinks.slides + jnp.where(accepted, more, 0.0), 0.0, SLIDING + 1.0)
     there = accepted & (verdict.crossed | ~kinks.held | (tries > TRIES))
     meant = jnp.where(turned & (h > kinks.meant), h, kinks.meant)
     return Kinks(
         jnp.where(accepted, end, kinks.values),
-        held | accepted,
+        jnp.where(accepted, slides <= SLIDING, held),
         jnp.where(there, 0.0, tries),
         jnp.where(there, 0.0, meant),
+        slides,
     )
