@@ -7,7 +7,6 @@ positive or not, and otherwise 0."""
 from collections.abc import Sequence
 from typing import Any
 
-import jax
 import jax.extend.core as jex
 import jax.numpy as jnp
 import numpy as np
@@ -16,12 +15,17 @@ from ..._frontend.lower import inner_of
 from ..._kinks import NAME
 
 
-def switches(closed: Any) -> int:
-    """How many switching functions a closed jaxpr declares."""
-    given = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in closed.jaxpr.invars]
-    counted = _Switched(None)
-    jax.eval_shape(lambda *x: counted.closed(closed, x), *given)
-    return counted.count
+def switches(closed: Any, within: bool = False) -> int:
+    """How many switching functions a closed jaxpr declares, or is, `within` a function that
+    is declared: without a trace of it, since most systems have none."""
+    total = 0
+    for equation in closed.jaxpr.eqns:
+        inner, name = _inlined(equation), equation.primitive.name
+        if inner is not None:
+            total += switches(inner, within or _declared(equation))
+        elif within and name in RULES and _is_real(equation.invars[0].aval):
+            total += equation.outvars[0].aval.size * (2 if name == "clamp" else 1)
+    return total
 
 
 def switched(closed: Any, given: Sequence[Any], sides: Any) -> tuple[list[Any], Any]:
@@ -35,6 +39,19 @@ def switched(closed: Any, given: Sequence[Any], sides: Any) -> tuple[list[Any], 
 
 
 LOOPS = ("scan", "while", "cond")  # which stay as they are
+
+
+def _inlined(equation: Any) -> Any:
+    """The closed jaxpr of a call that is no loop."""
+    return None if equation.primitive.name in LOOPS else inner_of(equation.params)
+
+
+def _declared(equation: Any) -> bool:
+    return equation.params.get("name") == NAME
+
+
+def _is_real(x: Any) -> bool:
+    return jnp.issubdtype(jnp.result_type(x), jnp.floating)
 
 
 class _Switched:
@@ -61,23 +78,19 @@ class _Switched:
         return [read(atom) for atom in jaxpr.outvars]
 
     def _applied(self, equation: Any, given: list[Any], within: bool) -> Sequence[Any]:
-        primitive, params = equation.primitive, equation.params
-        inner = inner_of(params)
-        if inner is not None and primitive.name not in LOOPS:
-            declared = params.get("name") == NAME
-            return self.closed(inner, given, within or declared)
+        primitive, inner = equation.primitive, _inlined(equation)
+        if inner is not None:
+            return self.closed(inner, given, within or _declared(equation))
         rule = RULES.get(primitive.name) if within else None
-        if rule is not None and jnp.issubdtype(jnp.result_type(given[0]), jnp.floating):
+        if rule is not None and _is_real(given[0]):
             return [rule(self, *given)]
-        found = primitive.bind(*given, **params)
+        found = primitive.bind(*given, **equation.params)
         return found if primitive.multiple_results else [found]
 
     def positive(self, g: Any) -> Any:
         """Whether a switching function is positive, or is held to be."""
         first, self.count = self.count, self.count + int(np.size(g))
         self.values.append(g)
-        if self.sides is None:
-            return g > 0
         return g + self.sides[first : self.count].reshape(jnp.shape(g)) > 0
 
 
